@@ -22,7 +22,7 @@ JUDGEMENTS_FROM_WORST_TO_BEST: tuple[Judgement, ...] = ("rejected", "undecided",
 
 
 def combined_judgement(judgements: Collection[Judgement]) -> Judgement:
-    """Judgement of several test errors together: rejected if one is rejected, accepted if all are, else undecided."""
+    """Judgement of several test errors together: rejected if one of them is, accepted if all are, else undecided."""
     return "rejected" if "rejected" in judgements else "accepted" if {*judgements} <= {"accepted"} else "undecided"
 
 
@@ -133,7 +133,7 @@ class WorstPassingInstrument(Entry):
     """Instrument that passes every test although its point errors are the largest possible."""
 
     constants: dict[str, Finite]
-    """Instrument constants by name, in the units that the entries in `sensitivities` of the file have."""
+    """Value of each instrument constant by its name, in the unit that `sensitivities` of `accept.json` lists."""
     rms_point_error_um: Finite
     """Root mean square error [um] of points 1.5 to 9 m around the instrument, after a rigid best fit of all points."""
     largest_point_error_um: Finite

@@ -39,9 +39,9 @@ the same effect as errors of the tracker that repeat in all rounds."""
 def may_be_tracker_error(cause: CauseTest) -> bool:
     """True for an identified cause of a misfit that may be an error of the tracker itself.
 
-    A change of the elevations may come from the tracker's vertical index. An additive constant of the distances that
-    differs at one set-up belongs to a reflector, a scale that differs there belongs to the air. An error at one target
-    is not an error of the tracker.
+    A change of the elevations may come from the tracker's vertical index. A change of the additive constant of the
+    distances at one set-up belongs to a reflector, a change of the scale at one set-up belongs to the air. An error at
+    one target is not an error of the tracker.
     """
     is_shift = cause.kind in ("constant-offset", "constant-step")
     is_possible = cause.kind in TRACKER_CAUSE_KINDS or (is_shift and cause.acts_on == "elevation")
@@ -49,7 +49,7 @@ def may_be_tracker_error(cause: CauseTest) -> bool:
 
 
 def _treatment_text(cause: CauseTest, treatment_text: str) -> str:
-    """Phrase on the treatment of an identified error: `treatment_text`, or another phrase for centring errors."""
+    """Phrase on the treatment of an identified error: `treatment_text`, or a special phrase for centring errors."""
     if cause.kind != CENTRING_CAUSE_KIND:
         return treatment_text
     return treatment_text.partition(",")[0] + ", and the uncertainties of the lengths contain it"
@@ -133,10 +133,11 @@ class NetworkTests:
 def evaluate_network(recording: Recording, instrument_specification: Specification) -> NetworkTests:
     """Tests of a tracker in a network: errors of the lengths that each station measures, and differences between faces.
 
-    The reference lengths come from the network adjusted with the instrument constants and with the errors identified in
-    the recording, so that they contain neither. The lengths that a station measures in one face contain the errors of
-    the instrument. `instrument_specification` has the limits. NetworkError is raised for a network with one station,
-    which has no independent reference lengths, for several instruments, and for a network that cannot be adjusted.
+    The reference lengths come from a network adjustment that also estimates the instrument constants and the errors
+    identified in the recording, so that the lengths are free of both. The lengths that a station measures in one face
+    contain the errors of the instrument. `instrument_specification` has the limits. NetworkError is raised for a
+    network with one station, which has no independent reference lengths, for several instruments, and for a network
+    that cannot be adjusted.
     """
     if len(recording.stations) < 2:
         raise NetworkError("the recording has one station; the network method needs at least two")

@@ -173,7 +173,7 @@ def _test_from_row(row: dict[str, str], line_number: int, file: Path) -> Accepta
 
 
 def _point_from_row(row: dict[str, str], end_name: str, line_number: int, file: Path) -> tuple[float, float, float]:
-    """Coordinates (3,) [m] of the point with the number `end_name` from a row of a CSV table; raises InputError."""
+    """Coordinates (3,) [m] of the first or second point (`end_name` 1 or 2) in a table row; raises InputError."""
     columns = (f"{axis}{end_name}_mm" for axis in "xyz")
     coordinates = [parse_comma_number(row[name], file=file, row=line_number, column=name) / 1000 for name in columns]
     if not np.isfinite(coordinates).all() or np.hypot(coordinates[0], coordinates[1]) < 1e-3:
@@ -200,7 +200,7 @@ MAX_ACCEPTANCE_TRIALS = 10_000_000
 
 
 class AcceptanceSettings(TomlSection):
-    """Content of an acceptance file; paths of other files are relative to it.
+    """Content of an acceptance file; paths of other files are relative to the folder of this file.
 
     With `measured_errors_file`, measured errors are evaluated. With `recording`, lengths between the targets of a
     network replace calibrated lengths. Without both, the tests are predicted, for the instrument of `calibration` or
@@ -222,8 +222,8 @@ class AcceptanceSettings(TomlSection):
     instrument: str | None = None
     """Name of the instrument's built-in data sheet."""
     specification: Specification | None = None
-    """Manufacturer's limits. If `instrument` is given too, they complete or replace the values of its data sheet.
-    """
+    """Manufacturer's limits. If `instrument` is given too, these limits complete or replace the values of its data
+    sheet."""
     construction: Literal["source-in-head", "steering-mirror"] = "source-in-head"
     """Design of the instrument: beam source in the head, or a steering mirror."""
     height_mm: Positive = 1500.0
@@ -235,7 +235,8 @@ class AcceptanceSettings(TomlSection):
     calibration: str | None = None
     """Calibration of the instrument: path of a `calibration.json` or of its folder."""
     corrected: bool = False
-    """True if the readings are corrected by `calibration` before the tests, so that only its uncertainty remains."""
+    """True if the readings are corrected by `calibration` before the tests, so that only the uncertainty of the
+    calibration remains."""
     recording: str | None = None
     """Path of the recording of a network that the instrument measured; its targets provide the reference lengths."""
     measured_errors_file: str | None = None

@@ -56,7 +56,8 @@ class TestedNetwork:
     adjustment: Adjustment
     """Adjustment that also estimates the instrument constants and the errors identified in the recording."""
     uncertainty_factor: float
-    """Factor by which the standard deviations of the adjustment are multiplied, for unexplained scatter."""
+    """Factor by which the standard deviations of the adjustment are multiplied if the readings scatter more than
+    declared and no cause is identified; otherwise 1."""
     is_corrected_by_estimated_constants: bool = False
     """True if the readings are corrected by the estimated instrument constants before the tests."""
 
@@ -91,7 +92,8 @@ class TestedNetwork:
     def corrected_readings_in_face_1(self) -> Floats:
         """Readings (pointings, 3) [m, rad, rad] converted to face 1, without the errors identified in the recording.
 
-        They are corrected by the instrument constants if `is_corrected_by_estimated_constants`.
+        The readings are corrected by the estimated instrument constants if `is_corrected_by_estimated_constants` is
+        True.
         """
         adjustment = self.adjustment
         readings = adjustment.recording.readings.copy()

@@ -38,12 +38,13 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import ResultSource
 
 MAX_PREDICTED_TESTS = 2_000
-"""Largest number of tests in a prediction. It draws the errors of 2,000 instruments at a time, in arrays of up to 64
-MB."""
+"""Largest number of tests in a prediction. A prediction draws the errors of 2,000 instruments at a time, in arrays of
+up to 64 MB."""
 MAX_TEST_DRAWS = 3e8
 """Largest product of the number of tests and the number of random draws in a prediction; 3e8 take 23 s."""
 MIN_MARGIN_DIVISOR_UM = 1e-3
-"""Smallest margin [um] between an error and its limit that is used as divisor; a smaller margin is replaced by it."""
+"""Smallest margin [um] between an error and its limit that is used as a divisor; a smaller margin is replaced by this
+value."""
 DECISION_RULE_TEXT = (
     "By ISO 14253-1, an error e with the expanded uncertainty U (95 %) is accepted if |e| + U is within its limit, "
     "rejected if |e| - U exceeds it, and otherwise undecided."
@@ -185,7 +186,8 @@ def evaluated_result(
     """Content of `accept.json` for measured errors, with the judgement of all errors, sentence and next actions.
 
     `unmeasured_tests` names the planned tests without a measured error. For tests in a network, `recording` is the
-    recording and `network_tests` its tests, which are also `test_outcomes`.
+    recording of the network, and `network_tests` holds its tests (also in `test_outcomes`) and the errors identified in
+    the recording.
     """
     judgement = combined_judgement([t.judgement for t in test_outcomes if t.judgement])
     is_valid = network_tests is None or not network_tests.uncorrected_causes
@@ -219,7 +221,7 @@ def evaluated_result(
 
 
 def _worst_outcome_with_judgement(test_outcomes: Sequence[TestOutcome], judgement: Judgement) -> TestOutcome:
-    """Outcome with this judgement whose error exceeds its limit most, or is closest to it."""
+    """Outcome with the given `judgement` whose error exceeds its limit most, or is closest to its limit."""
     return max((t for t in test_outcomes if t.judgement == judgement), key=lambda t: t.lower_bound_to_limit_ratio)
 
 

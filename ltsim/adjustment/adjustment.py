@@ -38,8 +38,8 @@ from ltsim.solve.gauss_newton import Solution, solution_for_plan, solve
 from ltsim.solve.threads import single_threaded
 
 MAX_SUCCESSIVELY_TESTED_READINGS = 300
-"""Largest number of suspected readings at which outliers are removed one after another. Of more suspected readings each
-is tested as if it were the only outlier."""
+"""Largest number of suspected readings at which outliers are removed one after another. If more readings are suspected,
+each is tested as if it were the only outlier."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,8 @@ class Adjustment(Result):
     noise_sentences: tuple[str, ...] = ()
     """Sentences on noise larger than declared that explains the misfit; `problem.reading_sigmas` do not contain it."""
     datum: InnerConstraintDatum | None = None
-    """Datum of the covariances by inner constraints; None if the pose of the first station or constraints define it."""
+    """Datum of the covariances by inner constraints; None if the pose of the first station, or constraints, define the
+    datum."""
 
     def _summary_lines(self) -> list[str]:
         """Lines of the summary that `print` shows."""
@@ -108,8 +109,8 @@ class Adjustment(Result):
 
         The values of the readings in `recording` have no influence, only which observables are measured. `state`
         contains planned poses and targets, and instrument parameters. The parameters of `construction` (default: an
-        ideal tracker) and `effects` are unknowns; `prior` is the prior of the instrument parameters, by default that of
-        the set-up. Raises NetworkError if the pointings do not determine all poses and targets.
+        ideal tracker) and `effects` are unknowns; `prior` is the prior of the instrument parameters, by default that in
+        `setup.toml`. Raises NetworkError if the pointings do not determine all poses and targets.
         """
         model = MeasurementModel(recording, construction or ideal_construction(), tuple(effects))
         if len(state.extra_parameters) != model.n_extra_parameters:
@@ -121,7 +122,7 @@ class Adjustment(Result):
         try:
             solution = solution_for_plan(problem, state)
         except SingularSystemError:
-            message = "the pointings do not determine all poses and targets; let stations share more targets"
+            message = "the pointings do not determine all poses and targets; plan more common targets of the stations"
             if not recording.is_measured[:, 1:].any():
                 message = "ranges alone need four stations that are not in one plane and six targets, or known lengths"
             raise NetworkError(message) from None
@@ -181,7 +182,7 @@ class Adjustment(Result):
         differences = problem.difference_rows.is_declared_coordinate[:, :2].any()
         lengths = problem.is_used_reading[:, 0].any() or len(problem.gauge_rows) or differences
         if held < 2 and not lengths:
-            cure = "declare approximate coordinates of two datum targets"
+            cure = "declare approximate_mm of two datum targets in setup.toml"
             return f"the scale of the network is undetermined: no distance, known length or two known points; {cure}"
         shared = np.zeros((len(recording.stations), len(recording.targets)), dtype=bool)
         shared[recording.station, recording.target] = True
@@ -201,7 +202,7 @@ class Adjustment(Result):
 
     @cached_property
     def sightings(self) -> Sightings:
-        """Range, direction and regressors (time and so on) of each pointing, computed from the adjusted network."""
+        """Range, direction and covariates (such as time) of each pointing, computed from the adjusted network."""
         return self.problem.model.sightings(self.state)
 
     @cached_property
@@ -299,7 +300,7 @@ class Adjustment(Result):
         return np.asarray(np.eye(len(residual_rows)) - design @ response)
 
     def covariance_submatrices(self, columns: Ints) -> Floats:
-        """Covariances (c, k, k) of c sets of k unknowns, with the indices `columns` (c, k) in the design matrix.
+        """Covariances (c, k, k) of c sets of k unknowns, given by their indices in the design matrix, `columns` (c, k).
 
         Coordinates of targets that are eliminated from the normal equations are not permitted.
         """
@@ -337,7 +338,7 @@ class Adjustment(Result):
     def pose_covariance(self) -> Floats:
         """Covariances (S, 6, 6) of position [m] and rotation vector [rad] of each of S stations, in the network frame.
 
-        They are NaN for components that the readings do not determine, and 0 for components that define the frame.
+        Components that the readings do not determine have NaN, components that define the frame have 0.
         """
         covariance = self.covariance_submatrices(self.problem.unknowns.pose_columns)
         anchors = self.problem.undetermined_unknowns.datum_stations

@@ -37,11 +37,11 @@ NO_RESTRICTED_AXES: Mapping[str, Axes] = MappingProxyType({})
 
 
 def with_axes_from_points(recording: Recording, points_by_target: Mapping[str, Floats], source_text: str) -> Recording:
-    """Recording whose axes (datum) are defined by declared coordinates of targets, `points_by_target` (3,) [m].
+    """Recording whose axes (datum) are defined by declared coordinates (3,) [m] of targets, `points_by_target`.
 
-    `adjust` later excludes coordinates that contradict the others. `source_text` is the name of their file. Raises
-    RecordError if fewer than three targets have coordinates or they are collinear, if the declared points are mirrored
-    or have another scale than the network, and if known points already define the frame.
+    `adjust` later excludes declared coordinates that contradict those of the other targets. `source_text` is the name
+    of their file. Raises RecordError if fewer than three targets have coordinates or they are collinear, if the
+    declared points are mirrored or have another scale than the network, and if known points already define the frame.
     """
     common_names = [
         name for name in recording.targets if name in points_by_target and np.isfinite(points_by_target[name]).all()
@@ -68,10 +68,10 @@ def with_axes_from_points(recording: Recording, points_by_target: Mapping[str, F
 def scale_error_of_declared_axes(adjustment: Adjustment) -> tuple[float, float] | None:
     """Relative scale error of the coordinates that define the axes of the hall, and its standard deviation.
 
-    It is the difference from the scale of the measured ranges, estimated from the residuals of the coordinates. Its
-    variance is the sum of that by the scatter of the residuals and that of the scale of the network, which depends on
-    estimated constants such as the range zero. The result is None if the scale error is not significant, or if fewer
-    than three points are tested.
+    The scale error is the scale of the coordinates minus that of the measured ranges, estimated from the residuals of
+    the coordinates. Its variance is the sum of that by the scatter of the residuals and that of the scale of the
+    network, which depends on estimated constants such as the range zero. The result is None if the scale error is not
+    significant, or if fewer than three points are tested.
     """
     used_tests = [test for test in adjustment.axes_point_tests if not test.is_excluded and len(test.residual) == 3]
     if len(used_tests) < MIN_POINTS_FOR_POSE:
@@ -183,7 +183,7 @@ def with_control_points(recording: Recording, path: Path) -> Recording:
 
 
 def unmeasured_points_notes(names: Sequence[str], source_text: str) -> list[str]:
-    """Note on the points of a file that no pointing measures, so that they are not used; none without such points.
+    """Note on points of a file that no pointing measures and that are not used; an empty list without such points.
 
     `names` are the names of these points, and `source_text` is the name of their file.
     """

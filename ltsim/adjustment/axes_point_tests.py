@@ -30,9 +30,9 @@ def exclude_contradicting_axes_points(
     """Recording without contradicting points in its datum, and the test of each point that defines the axes, `names`.
 
     The other points define axes in which the misclosure of a point is computed. The misclosure is compared with the
-    uncertainty of the network (multiplied by the `noise_factor` of the fit) and with the scatter of the other points. A
-    contradicting point is excluded from the datum. If the other points alone do not determine the axes, the point
-    remains, and its declared coordinates are corrected by the estimated error.
+    uncertainty of the network (for the estimated noise, if it is larger than declared) and with the scatter of the
+    other points. A contradicting point is excluded from the datum. If the other points alone do not determine the axes,
+    the point remains, and its declared coordinates are corrected by the estimated error.
     """
     recording = adjustment.recording
     declared_points = (
@@ -66,10 +66,10 @@ def exclude_contradicting_axes_points(
 def axes_point_tests_with_declared_points(
     adjustment: Adjustment, declared_recording: Recording
 ) -> tuple[ReferenceTest, ...]:
-    """Tests of all points that define the axes in `declared_recording`, in an adjustment with causes in its model.
+    """Tests of all points that define the axes in `declared_recording`, with identified errors in the model.
 
-    An earlier adjustment without these causes may have excluded right points. All points are therefore tested again.
-    The result is empty if no declared points define the axes.
+    An earlier adjustment without these errors in its model may have excluded right points. All points are therefore
+    tested again. The result is empty if no declared points define the axes.
     """
     declared, recording = declared_recording.setup, adjustment.recording
     if not declared.datum_source:
@@ -92,7 +92,8 @@ def _axes_point_tests(
 ) -> list[ReferenceTest]:
     """Tests of k points with declared coordinates (k, 3) [m], each against those points that `used_mask` (k,) flags.
 
-    The standard deviations of the adjusted coordinates are multiplied by `factor`, the noise factor of the fit.
+    The standard deviations of the adjusted coordinates are multiplied by `factor`, the ratio of the estimated to the
+    declared noise.
     """
     chosen = [name for name, used in zip(names, used_mask, strict=True) if used]
     datum_adjustment = adjustment.with_inner_datum(chosen)

@@ -44,7 +44,7 @@ class IdentifiedBlunder:
     """Blunder that was identified in k pointings."""
 
     effect_name: str
-    """Name of the catalogue effect that represents the blunder: target-swap, wrong-unit, face-confusion or outlier."""
+    """Name of the blunder in the list of physical effects: target-swap, wrong-unit, face-confusion or outlier."""
     pointing_indices: Ints
     """Indices (k,) of the k pointings with the blunder."""
     stations: tuple[str, ...]
@@ -256,7 +256,7 @@ def _correct_face_units(recording: Recording) -> tuple[Recording, list[Identifie
 
 
 def _mirror_image_blunders(recording: Recording) -> list[IdentifiedBlunder]:
-    """Blunder that two stations measured mirror images of each other, as a list; empty if they did not.
+    """Blunder that two stations measured mirror images of each other, as a list; empty without mirror images.
 
     One of the stations has clockwise azimuths, but the readings do not show which one.
     """

@@ -23,9 +23,9 @@ from ltsim.recordings.recording import Recording
 from ltsim.solve.gauss_newton import solve
 
 MAX_CENTRING_ERRORS = 6
-"""Largest number of centring errors that are estimated in one network; with more of them it must be measured again."""
+"""Largest number of centring errors that are estimated in one network; a network with more must be measured again."""
 CENTRING_EFFECT_NAME = "target-moved"
-"""Name of the catalogue effect that represents a centring error: the equipment on a mark was displaced."""
+"""Name of a centring error in the list of physical effects: the equipment on a mark was displaced."""
 
 
 @dataclass(frozen=True)

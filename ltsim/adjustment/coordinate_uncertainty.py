@@ -28,7 +28,7 @@ number of targets and has 20 MB at the limit."""
 
 
 def joint_covariance(adjustment: Adjustment) -> Floats:
-    """Joint covariance (3 T, 3 T) [m^2] of the x, y, z of T targets in order; NaN for undetermined targets."""
+    """Joint covariance (3 T, 3 T) [m^2] of x, y and z of T targets, target by target; NaN for undetermined targets."""
     columns = adjustment.problem.unknowns.target_columns.ravel()
     unit = np.zeros((adjustment.problem.unknowns.n_columns, len(columns)))
     unit[columns, np.arange(len(columns))] = 1.0
@@ -102,7 +102,7 @@ def relevant_air_uncertainty(
 ) -> AirUncertainty | None:
     """Uncertainty of air temperature, gradient and turbulence; None if all ranges are too short to be affected.
 
-    The default is the declaration in the set-up.
+    By default `air_uncertainty` is the uncertainty that `setup.toml` declares.
     """
     declared_air = air_uncertainty or adjustment.recording.setup.air or AirUncertainty()
     is_used = adjustment.problem.is_used_reading.any(axis=1)
@@ -178,8 +178,9 @@ def displacements_by_shared_air_error(
 def covariance_due_to_air(adjustment: Adjustment, columns: Ints, air: AirUncertainty | None = None) -> Floats:
     """Covariances (c, k, k) of c sets of k unknowns due to errors of the air; zero if all ranges are short.
 
-    `columns` (c, k) are the columns of the unknowns in the design matrix A. The result is C A' S A C, with the
-    covariance C of the unknowns and the covariance S of the whitened observations due to the air.
+    `columns` (c, k) are the columns of the unknowns in the design matrix A. `air` is the uncertainty of the air, by
+    default as declared in `setup.toml`. The result is C A' S A C, with the covariance C of the unknowns and the
+    covariance S of the whitened observations due to the air.
     """
     counted, size = relevant_air_uncertainty(adjustment, air), columns.shape[1]
     added_covariance = np.zeros((*columns.shape, size))
@@ -219,7 +220,10 @@ def _air_right_hand_sides(adjustment: Adjustment, air: AirUncertainty) -> tuple[
 
 
 def joint_covariance_due_to_air(adjustment: Adjustment, air: AirUncertainty | None = None) -> Floats:
-    """Joint covariance (3 T, 3 T) [m^2] of T targets due to errors of the air; zero if all ranges are short."""
+    """Joint covariance (3 T, 3 T) [m^2] of T targets due to errors of the air; zero if all ranges are short.
+
+    `air` is the uncertainty of the air, by default as declared in `setup.toml`.
+    """
     columns = adjustment.problem.unknowns.target_columns.reshape(1, -1)
     return covariance_due_to_air(adjustment, columns, air)[0]
 
@@ -229,8 +233,9 @@ def rms_displacements_by_shared_air_error(
 ) -> dict[str, float]:
     """Rms displacements [m] of the targets by one standard deviation of each error of the air that all stations share.
 
-    The keys are the `shared_air_error_names`. The best-fitting rigid motion of the targets is removed. Residuals do not
-    show these errors, so that no test of the adjustment detects them.
+    The keys are the `shared_air_error_names`. `air` is the uncertainty of the air, by default as declared in the set-up
+    file. The best-fitting rigid motion of the targets is removed. Residuals do not show these errors, so that no test
+    of the adjustment detects them.
     """
     chosen = air or adjustment.recording.setup.air or AirUncertainty()
     targets = np.flatnonzero(

@@ -62,7 +62,7 @@ class DatumPoints:
 
 
 def selected_datum_names(problem: NetworkProblem) -> tuple[str, ...]:
-    """Names of the measured targets and occupied marks that the set-up selects for the datum (`datum = true`)."""
+    """Names of the measured targets and occupied marks that `setup.toml` selects for the datum (`datum = true`)."""
     recording = problem.model.recording
     valid_names = dict.fromkeys([*recording.targets, *filter(None, problem.marks.mark_names)])
     return tuple(name for name in valid_names if recording.target_setup(name).datum)

@@ -83,7 +83,7 @@ def adjust(
     reading_mask : (n, 3) bool, optional
         Readings to use; default all.
     datum_names : sequence of str, optional
-        Targets that define the datum by inner constraints; default those that the set-up selects.
+        Targets that define the datum by inner constraints; default those that `setup.toml` selects.
     robust : bool
         True to reject outliers by reweighting and data snooping. Each rejected reading is tested again at the end.
     noise_grouping : str, optional
@@ -93,7 +93,7 @@ def adjust(
         Standard deviation of the prior of each parameter of `effects`, divided by its plausible size. It bounds
         parameters that the readings hardly determine.
     prior : ParameterPrior, optional
-        Prior of the instrument parameters; default that of the set-up.
+        Prior of the instrument parameters; default that in `setup.toml`.
     tested_reference_kinds : collection of str
         Kinds of reference values (known points, lengths, levels) that are excluded if they contradict the other
         observations.
@@ -166,8 +166,9 @@ def _problem_and_start_state(
 ) -> tuple[NetworkProblem, NetworkState]:
     """Least-squares problem without undetermined targets, and its start state.
 
-    From `start_state` follow the plumb lines of the stations in the model, and the positions of stations over marks;
-    missing parameters of effects start at zero. The other arguments are those of `adjust`.
+    The plumb lines of the stations in the model, and the positions of stations over marks, are computed from
+    `start_state`; parameters of effects that it does not contain start at zero. The other arguments are those of
+    `adjust`.
     """
     model = replace(model, recording=with_spherical_earth_plumb_lines(model.recording, start_state.station_positions))
     if len(start_state.extra_parameters) != model.n_extra_parameters:
@@ -260,8 +261,8 @@ def _solve(problem: NetworkProblem, start_state: NetworkState) -> tuple[NetworkP
 def _transform_to_datum(adjustment: Adjustment, datum_names: Sequence[str] | None) -> Adjustment:
     """Adjustment with state and covariances in the datum of the targets `datum_names`, by inner constraints.
 
-    By default these are all determined targets that the set-up selects for the datum. Targets that only define the axes
-    are tested first, and contradicting targets are excluded from the datum.
+    By default these are all determined targets that `setup.toml` selects for the datum. Targets that only define the
+    axes are tested first, and contradicting targets are excluded from the datum.
     """
     problem, solution, lost = adjustment.problem, adjustment.solution, adjustment.undetermined_targets
     names = (
@@ -271,7 +272,7 @@ def _transform_to_datum(adjustment: Adjustment, datum_names: Sequence[str] | Non
     )
     for name in datum_names or ():
         if name in lost:
-            raise ModelError(f"the readings do not determine target {name} of the datum: remove it from the datum")
+            raise ModelError(f"the readings do not determine target {name} of the datum: omit it in `datum`")
     if not names or solution.factor is None or not problem.free_motions.shape[1]:
         return adjustment
     if adjustment.recording.setup.datum_source and datum_names is None and len(names) >= MIN_POINTS_FOR_POSE:

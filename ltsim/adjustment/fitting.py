@@ -20,8 +20,7 @@ from ltsim.geometry.rigid import cross_matrix, matrix_from_rotation_vector, rota
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 MAX_DISTANCE_OF_EQUAL_SOLUTIONS = 1e-3
-"""Largest difference of two solutions for a pose or point that count as equal: distance divided by the extent of the
-points, plus norm of the difference of the rotation matrices."""
+"""Largest difference of equal solutions for a pose or point: distance / extent of points + norm of rotation change."""
 MIN_UNIQUE_SOLUTION_RATIO = 4.0
 """Smallest ratio of the sum of squares of the second-best to the best solution at which a pose or point is unique."""
 MAX_RMS_RESIDUAL_SIGMAS = 300.0
@@ -31,7 +30,7 @@ N_ITERATED_STARTS = 150
 MAX_START_POINTS = 400
 """Largest number of start values in the fit of a point, limited because of the computing time."""
 START_AZIMUTHS = np.arange(8) * np.pi / 4
-"""Azimuths [rad] of eight directions, evenly spaced."""
+"""Evenly spaced azimuths [rad], used as start values of yaws and of directions to a point."""
 START_POLAR_COORDINATE_GRIDS = np.geomspace(0.3, 300.0, 12), START_AZIMUTHS, np.array([-1.0, -0.3, 0.3, 1.0])
 """Grids of start values for the unmeasured polar coordinates of a point: range [m], azimuth [rad], elevation [rad]."""
 MIN_TARGETS_OF_RANGE_NETWORK = 10
@@ -109,6 +108,7 @@ def _unique_solution(
 ) -> tuple[Floats, Floats] | None:
     """Position (3,) [m] and rotation (3, 3) of the best solution; None if it fits poorly or is not unique.
 
+    `n_readings` are fitted to known `points` (k, 3) [m], whose extent is the unit of differences between solutions.
     `solutions` of b fits are sums of squares (b,) in ascending order, positions (b, 3) [m], rotations (b, 3, 3).
     """
     cost, x, rotation = solutions
@@ -365,8 +365,8 @@ def _complex_xy_coordinates(
 ) -> np.ndarray[tuple[int], np.dtype[np.complex128]] | None:
     """Horizontal coordinates of points as complex numbers x + iy, the first at 0; None if the shape is undetermined.
 
-    `length_rows` are the indices of the directions with a measured length, `lengths` [m] these lengths. Without lengths
-    the scale is arbitrary.
+    The directions lead from `start_indices` to `end_indices` with `bearings` [rad], counter-clockwise from x.
+    `length_rows` are those with a measured length, `lengths` [m] these lengths. Without lengths the scale is arbitrary.
     """
     design = _xy_design(start_indices, end_indices, bearings, length_rows, n_points)
     right_side = np.zeros(len(design))

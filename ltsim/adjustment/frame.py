@@ -1,7 +1,7 @@
 """Declared frame of a network (known points, levels, floor plan), and list of the measured points of each station.
 
-The list has one entry per pair of a station and a target that it measured with range and both angles: for 2,000 set-ups
-with 50 targets each 100,000 entries. An array of all stations and all targets would have 100 million.
+The list has an entry per pair of a station and a target that it measured with range and both angles: 100,000 entries
+for 2,000 set-ups with 50 targets each. An array of all stations and targets would have 100 million.
 """
 
 from __future__ import annotations
@@ -27,16 +27,12 @@ UNDECLARED_COORDINATES = (np.nan, np.nan, np.nan)
 
 @dataclass(frozen=True)
 class DeclaredFrame:
-    """Declared coordinates and directions that define the frame of a network of S stations and T targets.
-
-    Undeclared values are NaN.
-    """
+    """Declared coordinates and directions that define the frame of S stations and T targets; NaN if undeclared."""
 
     declared_points: Floats
     """Coordinates (T, 3) [m] of T targets that define the frame: known ones, or approximate ones of datum targets."""
     declared_station_positions: Floats
-    """Positions (S, 3) [m] of S instruments, from the declared coordinates of their marks; NaN over a mark that is a
-    target too."""
+    """Positions (S, 3) [m] of S instruments, from declared coordinates of marks; NaN over a mark that is a target."""
     is_levelled: Bools
     """Flags (S,), True for those of the S stations that are levelled."""
     marks: StationMarks
@@ -44,7 +40,7 @@ class DeclaredFrame:
     floor_plan_positions: Floats
     """Approximate positions (S, 3) [m] of S stations on the floor plan."""
     floor_plan_yaws: Floats
-    """Declared yaws (directions of azimuth zero) of S stations, (S,) [rad], approximate or known."""
+    """Declared yaws (azimuth zero, counter-clockwise from x) of S stations, (S,) [rad], approximate or known."""
     has_declared_yaw: Bools
     """Flags (S,), True for those of the S stations whose yaw is known with a standard deviation, not approximate."""
     approximate_points: Floats
@@ -54,7 +50,7 @@ class DeclaredFrame:
 
     @classmethod
     def from_recording(cls, recording: Recording) -> DeclaredFrame:
-        """Coordinates and directions that the set-up file of a recording declares."""
+        """Coordinates and directions that the `setup.toml` of a recording declares."""
         marks = StationMarks.from_recording(recording)
         setups = [recording.station_setup(name) for name in recording.stations]
         alone, by_name = (
@@ -129,9 +125,8 @@ class DeclaredFrame:
     def motion_to_floor_plan(self, position: Floats, rotation: Floats) -> tuple[Floats, Floats] | None:
         """Rotation about z (3, 3) and translation (3,) [m] of a network without known points to the floor plan.
 
-        They follow from positions of two or more stations on the floor plan, or from position and yaw of one station.
-        The result is None without such positions, and if a station misses its position by `MAX_FLOOR_PLAN_ERROR` or
-        more. `position` (S, 3) [m] and `rotation` (S, 3, 3) are the poses of the S stations in the network.
+        `position` (S, 3) [m], `rotation` (S, 3, 3): S poses. The result is None without two stations, or one with its
+        yaw, on the floor plan, and if a station misses its position by `MAX_FLOOR_PLAN_ERROR` or more.
         """
         planned_indices = np.flatnonzero(
             np.isfinite(self.floor_plan_positions).all(axis=1) & np.isfinite(position).all(axis=1)
@@ -215,7 +210,10 @@ class DeclaredFrame:
         return motion is not None and bool(alignment_distances(position, position, motion).max() < MAX_FLOOR_PLAN_ERROR)
 
     def rotation_to_declared_yaws(self, rotation: Floats, is_joined_station: Bools) -> Floats | None:
-        """Rotation (3, 3) about z from upright joined stations to their known yaws; None if no yaw is known."""
+        """Rotation (3, 3) about z that turns a levelled network to the known yaws of its stations; None without yaws.
+
+        `rotation` (S, 3, 3) are those of S stations, `is_joined_station` (S,) flags the stations in the network.
+        """
         mask = self.has_declared_yaw & is_joined_station
         if not mask.any():
             return None
@@ -224,7 +222,10 @@ class DeclaredFrame:
         return rotation_about_z(float(np.angle(np.sum(np.exp(1j * turns)))))
 
     def levelling_rotation(self, rotation: Floats, is_joined_station: Bools) -> Floats:
-        """Smallest rotation (3, 3) from the mean standing axis of levelled joined stations to their mean plumb line."""
+        """Smallest rotation (3, 3) from the mean standing axis of levelled stations to their mean plumb line.
+
+        `rotation` (S, 3, 3) are those of S stations, `is_joined_station` (S,) flags the stations in the network.
+        """
         mask = self.is_levelled & is_joined_station
         if not mask.any():
             return np.eye(3)
@@ -324,8 +325,7 @@ class StationTargetPairs:
     pair_order_by_target: Ints
     """Indices of the m pairs in the order of their targets, (m,)."""
     first_pair_of_target: Ints
-    """Index in `pair_order_by_target` of the first pair of each of T targets, followed by the number of pairs, (T +
-    1,)."""
+    """Index in `pair_order_by_target` of the first pair of each of T targets, then the number of pairs, (T + 1,)."""
 
     @classmethod
     def from_recording(cls, recording: Recording, points: Floats | None = None) -> StationTargetPairs:

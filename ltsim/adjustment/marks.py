@@ -1,4 +1,4 @@
-"""Marks (points on the floor) under the set-ups of a recording, and positions of set-ups that follow from them."""
+"""Marks (points on the floor) under the set-ups of a recording, and positions of set-ups derived from them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ class StationMarks:
     """Marks under the S set-ups of a recording."""
 
     target_indices: Ints
-    """Index (S,) of the target that is the mark under each of S set-ups; -1 if its mark is no target or it has none."""
+    """Index (S,) of the target that is the mark under each of S set-ups; -1 for a set-up without a mark, or over a mark
+    that is no target."""
     first_setup_on_mark: Ints
     """Index (S,) of the first set-up over the mark of each of S set-ups; index of the set-up itself if its mark is a
     target or if it is not over a mark."""
@@ -27,7 +28,7 @@ class StationMarks:
     plumb_directions: Floats
     """Upward unit vectors (S, 3) of the plumb lines at S set-ups."""
     instrument_offsets: Floats
-    """Vectors (S, 3) [m] from mark to instrument at S set-ups; zero without a mark."""
+    """Vectors (S, 3) [m] in the network frame from mark to instrument at S set-ups; zero without a mark."""
 
     @classmethod
     def from_recording(cls, recording: Recording) -> StationMarks:
@@ -44,10 +45,10 @@ class StationMarks:
         return cls(target, np.array(first, dtype=np.int64), names, vertical, vertical * height[:, None])
 
     def position_from_mark(self, station: int, position: Floats, points: Floats) -> Floats:
-        """Position (3,) [m] of a set-up, derived from the coordinates of its mark; NaN if the mark has none.
+        """Position (3,) [m] of a set-up, derived from the coordinates of its mark; NaN if the mark has no coordinates.
 
-        The mark is one of T targets, with coordinates `points` (T, 3) [m], or its coordinates follow from another of S
-        set-ups over the same mark, with positions `position` (S, 3) [m]. Undetermined targets and set-ups are NaN.
+        The mark is one of T targets, with coordinates `points` (T, 3) [m], or its coordinates are computed from another
+        of S set-ups over the same mark, with positions `position` (S, 3) [m]. Undetermined targets and set-ups are NaN.
         """
         if self.target_indices[station] >= 0:
             return np.asarray(points[self.target_indices[station]] + self.instrument_offsets[station])
@@ -78,7 +79,8 @@ class StationMarks:
 def _require_height_above_sighted_marks(recording: Recording, mark_targets: Ints) -> None:
     """Check that no set-up measures the mark under it at its own height; raises NetworkError.
 
-    `mark_targets` (S,) are the indices of the targets that are marks under the S set-ups, -1 for none.
+    `mark_targets` (S,) are the indices of the targets that are marks under the S set-ups, -1 for set-ups over no
+    target.
     """
     is_at_mark = (recording.target == mark_targets[recording.station]) & recording.is_measured.any(axis=1)
     for row in np.flatnonzero(is_at_mark).tolist():

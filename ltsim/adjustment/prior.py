@@ -27,7 +27,8 @@ class ParameterPrior:
     mean: Floats
     """Prior means (I, p) [SI] of the p parameters of each of I instruments."""
     covariance: Floats
-    """Prior covariances (I, p, p) [SI] of the p parameters of each of I instruments; infinite variances for none."""
+    """Prior covariances (I, p, p) [SI] of the p parameters of each of I instruments; infinite variances mean no prior.
+    """
     is_fixed: Bools
     """Flags (I, p), True for those parameters of the I instruments that are fixed at their prior mean."""
 
@@ -79,7 +80,7 @@ class ParameterPrior:
 
 
 def prior_sigmas(recording: Recording, construction: GeometricErrorModel) -> Floats:
-    """Prior standard deviations (I, p) [SI] of the p parameters of each of I instruments, from the set-up."""
+    """Prior standard deviations (I, p) [SI] of the p parameters of each of I instruments, from `setup.toml`."""
     priors = [recording.setup.instrument_named(name).prior for name in recording.instruments]
     sigma_rows = [[p.prior_sigma_from(prior) for p in construction.parameters] for prior in priors]
     return np.array(sigma_rows, dtype=np.float64).reshape(len(priors), construction.n_parameters)
@@ -88,8 +89,8 @@ def prior_sigmas(recording: Recording, construction: GeometricErrorModel) -> Flo
 def expected_error_sigmas(recording: Recording, construction: GeometricErrorModel) -> Floats:
     """Expected standard deviations (I, p) [SI] of the instrument errors in the readings, p for each of I instruments.
 
-    They equal `prior_sigmas`, except for a corrected instrument: for its parameters without a declared prior they are
-    multiplied by `CORRECTED_INSTRUMENT_SIGMA_FRACTION`.
+    They equal `prior_sigmas`, except for a corrected instrument: for its parameters without a declared prior, the prior
+    standard deviations are multiplied by `CORRECTED_INSTRUMENT_SIGMA_FRACTION`.
     """
     sigma, names = prior_sigmas(recording, construction), construction.parameter_names
     instruments = map(recording.setup.instrument_named, recording.instruments)

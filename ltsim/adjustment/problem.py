@@ -30,9 +30,9 @@ from ltsim.solve.design import DESIGN_ROWS_PER_BATCH, DesignMatrix, SparsityPatt
 from ltsim.solve.elimination import BlockSystem
 
 DATUM_CONSTRAINT_SIGMAS = np.full(6, 1e-8)
-"""Standard deviations (6,) [m, rad] of the equations that fix the pose of a station as datum. They do not influence the
-adjusted shape. For correct covariances they are far below the standard deviations of the network; even smaller values
-would cause rounding errors.
+"""Standard deviations (6,) [m, rad] of the equations that fix the pose of a station as datum. These equations do not
+influence the adjusted shape. For correct covariances their standard deviations are far below the standard deviations of
+the network; even smaller values would cause rounding errors.
 """
 WEAK_EFFECT_PRIOR_FACTOR = 300.0
 """Default standard deviation of the weak prior of a parameter of additional effects, divided by the plausible size of
@@ -74,7 +74,7 @@ class NetworkProblem(NetworkRows):
         `sigma` (n, 3) [m, rad, rad] are the standard deviations of the readings of n pointings, by default the declared
         ones, and `reading_mask` (n, 3) selects readings. `effect_prior_sigma` is the standard deviation of the weak
         prior of each parameter of additional effects, divided by its plausible size. `prior` is the prior of the
-        instrument parameters, by default that of the set-up.
+        instrument parameters, by default that in `setup.toml`.
         """
         recording = model.recording
         marks = StationMarks.from_recording(recording)

@@ -49,13 +49,13 @@ MIN_TESTED_WHITENED_RESIDUAL = MIN_CERTAIN_ERROR_SIGMAS * float(np.sqrt(MIN_TEST
 causes a larger residual, if the redundancy number is at least `MIN_TESTED_REDUNDANCY`."""
 MIN_OTHERS_TO_IDENTIFY_WRONG_VALUE = 3
 """Smallest number of other reference values of one kind, at which the wrong one of several contradicting values can be
-identified; with fewer values none is excluded."""
+identified; with fewer values no value is excluded."""
 MAX_CHI2_FRACTION_AFTER_EXCLUSION = 1e-6
 """Ratio of chi-square after the exclusion of reference values to chi-square before, below which the excluded values are
 certainly wrong."""
 MAX_EXCLUDED_REFERENCE_FRACTION = 1 / 3
 """Largest fraction of the reference values of one kind that may be excluded. If more seem wrong, all values of this
-kind are inconsistent and none is excluded."""
+kind are inconsistent and no value is excluded."""
 
 
 def snoop_references(
@@ -149,9 +149,10 @@ def _tests_with_final_errors(
 def _contradicting_group(
     wrong_values: Sequence[ReferenceTest], all_tests: Sequence[ReferenceTest]
 ) -> tuple[ReferenceTest, ...]:
-    """Test of a reference value that contradicts others of its kind, as a tuple; empty if one is clearly wrong.
+    """Test of a reference value that contradicts others of its kind, as a tuple; empty if the wrong one is clear.
 
-    The test lists the values that may be wrong instead (`indistinguishable_from`).
+    `wrong_values` are the tests of rejected values, `all_tests` those of all values. The returned test lists the values
+    that may be wrong instead (`indistinguishable_from`).
     """
     for test in wrong_values:
         others = [other for other in all_tests if other.kind == test.kind and other.name != test.name]
@@ -195,7 +196,8 @@ def _most_contradicting_observation(
 ) -> ReferenceTest | Bools | None:
     """Test of the most contradicting reference value, or mask (n, 3) with the flag of a reading that contradicts more.
 
-    The result is None if no reference value contradicts the other observations significantly.
+    Values of the `kinds` are tested, except for `exempt_values` (kind and name). The result is None if no reference
+    value contradicts the other observations significantly.
     """
     tests = [test for test in reference_tests(problem, solution, MIN_TESTED_WHITENED_RESIDUAL) if test.rank]
     tests = [test for test in tests if test.kind in {*kinds, "scale"} and (test.kind, test.name) not in exempt_values]
@@ -263,7 +265,7 @@ def _second_setup_over_mark(problem: NetworkProblem, test: ReferenceTest) -> str
 def _is_any_kind_inconsistent(
     problem: NetworkProblem, solution: Solution[NetworkState], excluded_tests: Sequence[ReferenceTest]
 ) -> bool:
-    """True if more than `MAX_EXCLUDED_REFERENCE_FRACTION` of the reference values of any kind are excluded."""
+    """True if more than `MAX_EXCLUDED_REFERENCE_FRACTION` of the reference values of at least one kind are excluded."""
     every = [value.kind for value in reference_values(problem, solution.x)]
     gone = [test.kind for test in excluded_tests]
     return any(

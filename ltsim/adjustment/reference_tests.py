@@ -71,7 +71,8 @@ class ReferenceTest(ReferenceValue):
     """Names of other reference values whose errors would explain the misfit equally well. None of these values is
     excluded, unless all are set-ups over marks."""
     error_length_sigma: float | None = None
-    """Standard deviation [m, rad or 1] of the length of `error`, by its covariance; None if it is not known."""
+    """Standard deviation [m, rad or 1] of the length of `error`, by its covariance; None if this covariance is not
+    known."""
 
     @property
     def normalised_error(self) -> float:
@@ -186,7 +187,7 @@ def reference_tests(
 def scaled_reference_tests(
     problem: NetworkProblem, solution: Solution[NetworkState], min_residual: float = 0.0
 ) -> list[ReferenceTest]:
-    """Tests of reference values as by `reference_tests`, with standard deviations multiplied by the `noise_factor`."""
+    """Tests of reference values as by `reference_tests`, with standard deviations for the estimated noise."""
     tests = reference_tests(problem, solution, min_residual)
     factor = noise_factor(problem, solution) if tests else 1.0
     return [test.with_noise_factor(factor) for test in tests]
@@ -214,7 +215,8 @@ def reference_tests_with_instrument_constants(
 
     In a network without reference lengths, instrument constants are unknowns of the tests only if a fit with them
     passes the global test and a fit without them does not. Standard deviations are those of the tested fit, multiplied
-    by its `noise_factor`. The residuals are those of the adjustment itself.
+    by its `noise_factor` (ratio of estimated to declared noise, at least 1). The residuals are those of the adjustment
+    itself.
     """
     tested, state = problem.with_instrument_constants(solution.x)
     tested_solution = solution if tested is problem else solve(tested, state)

@@ -21,13 +21,14 @@ ReferenceKind = Literal["point", "difference", "length", "level", "yaw", "mark",
 `scale` common scale of all known lengths.
 """
 MIN_SIGMA_RELATIVE_TO_READINGS = 0.3
-"""Smallest standard deviation of a reference value during its test, divided by the median one of the readings."""
+"""Smallest standard deviation of a reference value during its test, divided by the median standard deviation of the
+readings."""
 STATION_UPDATES_REMOVING_REFERENCE: dict[str, dict[str, object]] = {
     "level": {"levelled": False, "yaw_sigma_arcsec": None},
     "yaw": {"yaw_sigma_arcsec": None},
     "mark": {"over": None},
 }
-"""Changes of a station's entries in the set-up that remove a reference value, by kind of reference value."""
+"""Changes of a station's entries in `setup.toml` that remove a reference value, by kind of reference value."""
 
 
 @dataclass(frozen=True)
@@ -147,7 +148,7 @@ def _centring_declarations(problem: NetworkProblem, state: NetworkState) -> Iter
 
 
 def drop_reference(recording: Recording, reference_value: ReferenceValue) -> Recording:
-    """Recording from whose set-up the reference value `reference_value` is removed."""
+    """Recording from whose `setup.toml` the reference value `reference_value` is removed."""
     setup, name = recording.setup, reference_value.name
     if reference_value.kind in ("length", "scale"):
         lengths = tuple(d for d in recording.gauge.distance if f"{d.from_}-{d.to}" != name)
@@ -169,11 +170,11 @@ def drop_reference(recording: Recording, reference_value: ReferenceValue) -> Rec
 
 
 REFERENCE_COORDINATE_KEYS = ("known_mm", "known_sigma_mm", "known_covariance_mm2", "known_axes")
-"""Keys of a target's reference coordinates in the set-up."""
+"""Keys of a target's reference coordinates in `setup.toml`."""
 
 
 def without_reference_coordinates(recording: Recording) -> Recording:
-    """Recording whose set-up contains no known coordinates of targets."""
+    """Recording whose `setup.toml` contains no known coordinates of targets."""
     targets = {name: target.model_copy(update={"known_mm": None}) for name, target in recording.setup.targets.items()}
     return recording.replace(setup=recording.setup.model_copy(update={"targets": targets}))
 

@@ -116,14 +116,17 @@ class FirstOrderEffect(CandidateEffect):
         return self.design_at_state
 
     def gauge_design(self, first_targets: Ints, second_targets: Ints, points: Floats) -> Floats:
-        """Derivatives (g, p) of g reference lengths with respect to p parameters, as `LinearEffect.gauge_design`."""
+        """Derivatives (g, p) [m / SI] of g lengths between targets (indices) at `points` (T, 3) [m] by p parameters."""
         return self.exact_effect.gauge_design(first_targets, second_targets, points)
 
 
 def _linearised_shape_parameters(
     effect: CandidateEffect, parameter_values: Floats, sightings: Sightings, fixed_shape_parameters: Collection[str]
 ) -> list[LinearisedShapeParameter]:
-    """Linearised changes by those shape parameters of an effect that influence readings and are not fixed."""
+    """Linearised changes by those shape parameters of an effect that influence readings and are not fixed.
+
+    `parameter_values` [SI] are the values of the linear parameters of the effect.
+    """
     linearised_shapes = []
     largest_change = float(np.abs(effect.design(sightings) @ parameter_values).max())
     for shape in type(effect).shape_parameters:
@@ -149,7 +152,7 @@ class ParameterEstimate(NamedTuple):
 
 @dataclass(frozen=True)
 class Refit:
-    """Network adjusted with some effects, and the estimates of their linear and shape parameters."""
+    """Network adjusted with some effects, and the estimates of their linear and shape parameters (such as periods)."""
 
     adjustment: Adjustment
     """Network adjusted with the effects in its model."""
@@ -222,8 +225,9 @@ def _damped_step(
 ) -> tuple[list[CandidateEffect], Adjustment] | None:
     """Effects with changed shape parameters, and the adjustment with these effects; None if chi-square increases.
 
-    `changes` are the relative changes of all shape parameters, in the order of the `linearised_shapes`. They are
-    halved, at most `MAX_STEP_HALVINGS` times, until chi-square is not larger than in `last_adjustment`.
+    `adjust_function` adjusts the network. `changes` are the relative changes of all shape parameters, in the order of
+    the `linearised_shapes`. They are halved, at most `MAX_STEP_HALVINGS` times, until chi-square is not larger than in
+    `last_adjustment`.
     """
     for share in 0.5 ** np.arange(1 + MAX_STEP_HALVINGS):
         moved = _effects_with_changed_shapes(effects, linearised_shapes, share * changes)

@@ -22,14 +22,17 @@ from ltsim.scene.sightings import Sightings
 from ltsim.solve.projection import ResidualProjector, make_residual_projector
 
 MAX_SCREENED_ENTRIES = 3_000_000
-"""Largest number of entries of all design columns that a screening of hypotheses projects onto the residual space, to
+"""Largest number of entries of the design columns of all hypotheses that are projected off the unknowns of a fit, to
 limit the processor time. Of more hypotheses only the most promising ones are projected.
 """
 
 
 @dataclass(frozen=True)
 class ResidualSpace:
-    """Residual space of an adjustment with m equations: projector onto it, and whitened residuals."""
+    """Whitened residuals of an adjustment with m equations, and projector onto its residual space.
+
+    The residual space is the orthogonal complement of the columns of the whitened design matrix.
+    """
 
     projector: ResidualProjector
     """Projector onto the orthogonal complement of the columns of the whitened design matrix, including those of
@@ -41,7 +44,7 @@ class ResidualSpace:
 
     @classmethod
     def from_adjustment(cls, adjustment: Adjustment) -> Self:
-        """Residual space at the solution of an adjustment; not cached, because its basis takes up to 32 MB."""
+        """Residuals and projector at the solution of an adjustment; not cached, because the basis takes up to 32 MB."""
         solution = adjustment.solution
         projector = make_residual_projector(solution.system, solution.factor)
         residual = projector.project(solution.system.whitened_residuals[:, None])[:, 0]
@@ -105,13 +108,13 @@ class ResidualSpace:
         return readings
 
     def whitened_design(self, effect: LinearEffect) -> Floats:
-        """Whitened design columns (m, q) of m equations for a (catalogue or empirical) effect of q parameters."""
+        """Whitened design columns (m, q) of m equations for an effect with q parameters."""
         return self.whiten(effect.design(self.sightings), self._gauge_design(effect))
 
     def nonzero_whitened_design(self, effect: LinearEffect) -> tuple[Ints, Floats]:
         """Indices (r,) of the r equations that an effect of q parameters changes, and their whitened design (r, q).
 
-        They are the nonzero rows of `whitened_design`. For an effect on few readings this is much faster.
+        The result contains the nonzero rows of `whitened_design`; if these are few, the computation is much faster.
         """
         place, weight = self._used_reading_weights
         readings = effect.design(self.sightings).reshape(-1, len(effect.parameters))
@@ -140,7 +143,7 @@ class ResidualSpace:
         return equations
 
     def project(self, design_columns: Floats) -> Floats:
-        """Projections (m, q) onto the residual space of q whitened columns (m, q), or of one vector (m,)."""
+        """Projections (m, q) of q whitened columns (m, q), or of one vector (m,), off the columns of all unknowns."""
         return self.projector.project(design_columns if design_columns.ndim > 1 else design_columns[:, None]).reshape(
             design_columns.shape
         )
@@ -154,7 +157,7 @@ class ResidualSpace:
         return float(scores @ scores), len(scores)
 
     def _projected_basis(self, design_columns: Floats) -> Floats:
-        """Orthonormal basis (m, r) of the span of `design_columns` after their projection onto the residual space.
+        """Orthonormal basis (m, r) of the span of `design_columns` after projection off all unknowns.
 
         The columns (m, q) are the whitened changes of m equations per unit of q parameters; r is the dimension.
         """
@@ -163,8 +166,8 @@ class ResidualSpace:
     def norms_without_centring(self, design_columns: Floats) -> Floats:
         """Lengths (q,) of q `design_columns` (m, q), without the part that centring errors in the model absorb.
 
-        Centring errors with a large standard deviation absorb nearly all of an effect. The rest that remains in the
-        residual space is therefore compared with these lengths, and not with those of the original columns.
+        Centring errors with a large standard deviation absorb nearly all of an effect. The part of an effect that
+        remains in the residuals is therefore compared with these lengths, and not with those of the original columns.
         """
         squares = lowest = np.sum(design_columns**2, axis=0)
         if not self._centring_normals:
@@ -196,13 +199,13 @@ class ResidualSpace:
         return entries
 
     def with_design_columns(self, design_columns: Floats) -> ResidualSpace:
-        """Residual space of the adjustment if the q parameters of `design_columns` (m, q) are estimated too."""
+        """Copy whose projector contains the q `design_columns` (m, q) of further unknowns too."""
         basis = self._projected_basis(design_columns)
         residual = self.whitened_residuals - basis @ (basis.T @ self.whitened_residuals)
         return ResidualSpace(self.projector.with_removed_columns(basis), residual, self.adjustment)
 
     def with_effects(self, effects: Sequence[LinearEffect]) -> ResidualSpace:
-        """Residual space of the adjustment if the parameters of `effects` are estimated too."""
+        """Copy whose projector contains the parameters of `effects` as further unknowns too."""
         if not effects:
             return self
         return self.with_design_columns(np.hstack([self.whitened_design(effect) for effect in effects]))

@@ -279,7 +279,7 @@ class LevelRows:
     tilt_sigmas: Floats
     """Standard deviation of both tilts of each of k levelled stations, (k,) [rad]."""
     plumb_directions: Floats
-    """Unit vector of the plumb line at each of k levelled stations, (k, 3)."""
+    """Upward unit vector of the plumb line at each of k levelled stations, (k, 3)."""
     horizontal_axes: Floats
     """Two horizontal unit vectors at each of k levelled stations, (k, 2, 3)."""
 
@@ -307,7 +307,7 @@ class LevelRows:
         return self if np.all(self.tilt_sigmas == raised) else replace(self, tilt_sigmas=raised)
 
     def axis_tilts(self, rotation: Floats) -> Floats:
-        """Tilts (k, 2) [rad] of k standing axes from their plumb lines, for the rotations (S, 3, 3) of S stations."""
+        """Tilts (k, 2) [rad] of k standing axes towards the `horizontal_axes`, for S station rotations (S, 3, 3)."""
         axis = rotation[self.station_indices] @ VERTICAL
         return np.einsum("lij,lj->li", self.horizontal_axes, axis)
 

@@ -52,7 +52,7 @@ MIN_DOF_FOR_ESTIMATED_NOISE = 15
 standard deviation is then 1 / sqrt(2 * 15) = 18 %. """
 MIN_REPEATS_FOR_VARIANCE = 4
 """Smallest number of pointings to a target, of occupations of a target, or of targets in a group, for a test that their
-noise differs from other noise. With two or three, a single outlier has the same effect.
+noise differs from other noise. With two or three of them, a single outlier looks like larger noise.
 """
 MIN_MEAN_REPEATS = 1.5
 """Smallest mean number of pointings per occupation, or of occupations per target, for a test of random displacements of

@@ -36,8 +36,8 @@ from ltsim.solve.elimination import FactorisedNormals, SingularSystemError
 from ltsim.solve.gauss_newton import MAX_CONVERGENCE_RATIO, MAX_ITERATIONS, Solution, solve
 
 MIN_COPIED_ROWS = 10
-"""Smallest number of equal rows that count as copies in a recording without times. All repeated pointings must be equal
-too, because two pointings may be equal by chance."""
+"""Smallest number of equal rows that count as copies in a recording without times. All repeated pointings must then be
+copies of each other, because two pointings may be equal by chance."""
 MAX_REWEIGHTINGS_BEFORE_SNOOPING = 8
 """Largest number of iterations of reweighted least squares before data snooping."""
 MAX_SNOOPING_PASSES = 20
@@ -247,8 +247,9 @@ def snoop_readings(
 ) -> tuple[NetworkProblem, Solution[NetworkState]]:
     """Problem without outliers, and its solution; `state` is an approximate solution.
 
-    Reweighted least squares gives a network that outliers hardly distort. Readings that contradict it are rejected.
-    Data snooping follows: after each of up to `max_passes` solutions all used and rejected readings are tested again.
+    Reweighted least squares gives a network that outliers hardly distort. Readings that contradict this network are
+    rejected. Data snooping is the second step: after each of up to `max_passes` solutions all used and rejected
+    readings are tested again.
     """
     limit = critical_normalised_residual(int(problem.is_used_reading.sum()))
     state, _ = iterate_reweighted(

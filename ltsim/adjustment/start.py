@@ -31,10 +31,11 @@ positions, horizontal directions."""
 def initial_network(recording: Recording) -> tuple[tuple[Floats, Floats, Floats], Bools]:
     """Start positions (S, 3), rotations (S, 3, 3) of S stations; T targets (T, 3); flags (T,) of unconnected targets.
 
-    Levels and known points define the frame if there are any, otherwise the first station. The station that measured
-    most targets with coordinates is joined next. If too few targets were measured with range and both angles, beams are
-    intersected and stations resected. A network of ranges alone starts with a closed-form solution. Unconnected targets
-    get the mean position of the other targets and must be removed by the caller. Coordinates are in metres.
+    Levels and known points define the frame; without levels and known points, the first station defines it. The station
+    that measured most targets with coordinates is joined next. If too few targets were measured with range and both
+    angles, beams are intersected and stations resected. A network of ranges alone starts with a closed-form solution.
+    Unconnected targets get the mean position of the other targets and must be removed by the caller. Coordinates are in
+    metres.
 
     Raises NetworkError if a station is not connected to the others, or if there are elevations alone.
     """
@@ -123,7 +124,7 @@ class NetworkInitialiser:
         return place if np.isfinite(place).all() else None
 
     def _join_station(self, station: int, position: Floats, rotation: Floats) -> None:
-        """Assignment of a pose to a station, and of coordinates to the targets that it measured and to its mark."""
+        """Assignment of a pose to the station with the index `station`, and of coordinates to its targets and mark."""
         self._positions[station], self._rotations[station] = position, rotation
         self._is_joined[station] = True
         pairs = self._pairs.pair_slice_of_station(station)
@@ -381,13 +382,13 @@ class NetworkInitialiser:
 
     @property
     def undetermined_lines_text(self) -> str:
-        """Text, for the end of a message, on lines whose horizontal length no reading determines; empty without any."""
+        """Text, for the end of a message, on lines whose horizontal length no reading determines; or empty."""
         ends = [*self._recording.targets, *self._recording.stations]
         lines = names_text([f"{ends[a]}-{ends[b]}" for a, b in self._open_lines])
         return f"; no reading determines the horizontal length of the lines {lines}" if lines else ""
 
     def result(self, undetermined_lines_text: str = "") -> tuple[tuple[Floats, Floats, Floats], Bools]:
-        """Result of `initial_network`; raises NetworkError, with the given text, if a station is not connected."""
+        """Result of `initial_network`; the error for unconnected stations ends with `undetermined_lines_text`."""
         points = self._target_points()
         nearest = int(np.argmax(np.where(self._is_joined, -1, self._shared_target_counts())))
         targets = self._pairs.target_indices[self._pairs.pair_slice_of_station(nearest)]

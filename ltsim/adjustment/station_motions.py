@@ -24,9 +24,9 @@ from ltsim.scene.sightings import Sightings
 class UniformMotion(StationMotionEffect):
     """Motion of a station at a constant rate during its occupation.
 
-    The parameters are the translation and rotation at the end of the occupation. The effect is not in the catalogue,
-    because it has many possible causes. Consecutive pointings to one target get one time, because a change between them
-    may be a motion of the target; only later repeats show a motion of the station.
+    The parameters are the translation and rotation at the end of the occupation. The effect is not in the list of
+    physical effects, because it has many possible causes. Consecutive pointings to one target get one time, because a
+    change between them may be a motion of the target; only later repeats show a motion of the station.
     """
 
     name = "station-motion"
@@ -90,6 +90,6 @@ def motion_sentences(adjustment: Adjustment) -> Iterator[tuple[FittedMotion, str
 
 
 def _length_text(vector: Floats, covariance: Floats, unit: str) -> str:
-    """Length of a vector (3,) with its standard deviation and unit, as text."""
+    """Length of a vector (3,) with its standard deviation (from `covariance` (3, 3)) and unit, as text."""
     vector_length = float(np.linalg.norm(vector))
     return with_sigma(vector_length, float(np.sqrt(vector @ covariance @ vector)) / max(vector_length, 1e-30), unit)

@@ -83,7 +83,7 @@ def iterate_reweighted(
 
     Huber's weights permit a poor start state. If many residuals are large with these weights, Cauchy's weights are
     tried too: with them a good start state changes little, although many readings of one station or target contradict
-    it. The result with the smaller Cauchy objective is returned.
+    it. The result with the smaller sum of Cauchy's robust loss is returned.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def has_many_residuals_beyond_noise(whitened_residuals: Floats) -> bool:
 
 
 def best_solution_index(residuals_of_solutions: Sequence[Floats]) -> int:
-    """Index of the solution with the smallest Cauchy objective at a common scale, from the residuals of each."""
+    """Index of the solution with the smallest sum of Cauchy's robust loss, from the residuals of each solution."""
     scale = max(min(robust_sigma(whitened) for whitened in residuals_of_solutions), 1.0)
     return int(
         np.argmin([np.sum(np.log1p((whitened / (CAUCHY_LIMIT * scale)) ** 2)) for whitened in residuals_of_solutions])
@@ -140,6 +140,8 @@ def _iterate_weights(
     weight_function: Callable[[Floats], Floats],
 ) -> tuple[NetworkState, Floats]:
     """State of a fit by reweighted least squares with one weight function, and whitened residuals (m,) of m equations.
+
+    The other arguments are those of `iterate_reweighted`.
 
     The robust scale of the residuals never increases. Otherwise a large error that distorts the network would increase
     the scale and thus its weight (Huber 1981, Robust statistics, section 7.8: with a fixed scale each step decreases
@@ -242,7 +244,7 @@ def estimate_variance_components(
 
 
 def converged_variance_components(problem: NetworkProblem, state: NetworkState) -> tuple[VarianceComponent, ...]:
-    """Noise of each observable, estimated with weights that agree with it; without redundancy there is none.
+    """Noise of each observable, estimated with weights that agree with this noise; empty without redundancy.
 
     A noise that is declared with these factors is confirmed by the next adjustment. One step from the declared noise is
     not sufficient, because wrong weights distribute the misfit among the observables in a wrong way. The readings in
@@ -270,9 +272,10 @@ def _secant_step(change: Floats, last_change: Floats, last_step: Floats) -> Floa
 
 
 def _scale_sigmas(problem: NetworkProblem, factor: Floats, group_indices: Ints, reading_mask: Bools) -> NetworkProblem:
-    """Problem with the readings that `reading_mask` (n, 3) selects, and standard deviations times group factors.
+    """Problem with the readings that `reading_mask` (n, 3) selects, whose noise is multiplied by group factors.
 
-    `group_indices` (n, 3) is the group of each reading of n pointings. The last factor is that of the levels.
+    `group_indices` (n, 3) is the group of each reading of n pointings, `factor` (g,) the factor on the standard
+    deviations of each of g groups. The last group is that of the levels.
     """
     levels = replace(problem.level_rows, tilt_sigmas=problem.level_rows.tilt_sigmas * factor[-1])
     return replace(

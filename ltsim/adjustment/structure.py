@@ -153,7 +153,8 @@ class UndeterminedUnknowns:
     stations_without_readings: Ints
     """Indices of stations without any reading."""
     is_unmeasured_target: Bools
-    """Flags (T,), True for those of T targets without any reading in use, known coordinates, or a set-up over them."""
+    """Flags (T,), True for those of T targets that have no reading in use, no known coordinates, and no set-up over
+    them."""
     is_height_undetermined_target: Bools
     """Flags (T,), True for those of T targets with undetermined height: levelled set-ups measured only azimuths and
     horizontal distances to them.
@@ -328,7 +329,7 @@ def _scale_defining_target(network: NetworkRows) -> Ints:
 
 
 DecoratedParameters = ParamSpec("DecoratedParameters")
-"""Parameters of a decorated function that follow its first parameter, a recording."""
+"""Parameters of a decorated function after its first parameter, which is a recording."""
 DecoratedReturn = TypeVar("DecoratedReturn")
 """Type of the result of a decorated function whose first parameter is a recording."""
 

@@ -147,7 +147,10 @@ def _sigma0_limits(dof: int, alpha: float) -> tuple[float, float]:
 
 
 def _sigma0_with_constants_sentence(fit_with_constants: tuple[float, int] | None, alpha: float) -> str:
-    """Sentence, with a space at its end, on sigma0 of a fit with instrument constants; empty without such a fit."""
+    """Sentence, with a space at its end, on sigma0 of a fit with instrument constants; empty without such a fit.
+
+    `alpha` is the two-sided level of the global test.
+    """
     if fit_with_constants is None or fit_with_constants[1] <= 0:
         return ""
     chi2, dof = fit_with_constants
@@ -157,7 +160,7 @@ def _sigma0_with_constants_sentence(fit_with_constants: tuple[float, int] | None
 
 
 def _rejection_reasons(adjustment: Adjustment, alpha: float, fit_with_constants: tuple[float, int] | None) -> str:
-    """Sentences on the possible reasons for a failed global test.
+    """Sentences on the possible reasons for a global test that failed at the two-sided level `alpha`.
 
     Errors of the instrument constants are a possible reason if they are neither corrected nor estimated. A fit that
     estimates them, `fit_with_constants` (chi-square and degrees of freedom), shows if they are the reason.
@@ -211,7 +214,7 @@ def noise_declaration_advice(adjustment: Adjustment, alpha: float = GLOBAL_TEST_
 
 
 def _noisy_targets_sentence(adjustment: Adjustment) -> str:
-    """Sentence, after a space, on noisy targets, whose readings scatter far more than others; empty without any."""
+    """Sentence, after a space, on noisy targets, whose readings scatter far more than others; or an empty text."""
     named, scatter, rest = adjustment.noisy_targets_and_scatter
     if not len(named):
         return ""

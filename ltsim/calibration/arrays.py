@@ -45,7 +45,7 @@ class CalibrationArrays(ValueEquality):
     """Parameters that a correction removes from readings, shape (instruments, parameters) [SI]. None means the
     estimates."""
     null_space: Floats | None = field(default=None, repr=False)
-    """Orthonormal combinations of the parameters that a distance method cannot determine and therefore sets to zero.
+    """Orthonormal combinations of parameters that distances between targets do not determine and that are set to zero.
 
     The shape is (combinations, instruments times parameters); the unit is the prior standard deviation.
     """
@@ -88,7 +88,7 @@ class CalibrationArrays(ValueEquality):
         return self.covariance / np.outer(unit, unit)
 
     def for_instrument(self, instrument: int, parameter_indices: Ints) -> CalibrationArrays:
-        """Arrays of the instrument with index `instrument`, reduced to the parameters with the given indices."""
+        """Arrays of the instrument with index `instrument`, reduced to the parameters `parameter_indices`."""
         row, at = slice(instrument, instrument + 1), instrument * self.construction.n_parameters + parameter_indices
         return replace(
             self,
@@ -110,8 +110,8 @@ def arrays_from_file_rows(
 ) -> tuple[CalibrationArrays, list[str]]:
     """Arrays of the parameters in a calibration file, and the names of the parameters that the file lacks.
 
-    Without a covariance in the file the parameters count as uncorrelated. Missing parameters are zero with their prior
-    standard deviation.
+    Without a covariance in the file the parameters count as uncorrelated. Missing parameters are zero with the prior
+    standard deviation of the geometric error model.
 
     Raises
     ------
@@ -172,6 +172,9 @@ def _parameter_vector_indices(
     file: object,
 ) -> list[int]:
     """Indices of a file's parameters in the vector of the parameters of all instruments.
+
+    `construction` is the name of the geometric error model, `index_by_instrument_and_name` gives the index in the
+    vector.
 
     Raises RecordError for unknown names, unknown units and repeated parameters.
     """

@@ -62,7 +62,7 @@ FIELDS_NOT_COPIED = frozenset(
     ("format", "files", "construction_name", "parameters", "parameter_covariance", "harmonics", "determined",
      "noise_estimated")
 )  # fmt: skip
-"""Names of the fields that a changed copy does not take over: they follow from its arrays or are set on writing."""
+"""Names of the fields that a changed copy does not take over: computed from arrays, or set when a file is written."""
 
 
 def _none_if_empty(value: Any) -> Any:
@@ -80,7 +80,7 @@ class Calibration(UncertaintyEntry, ResultFile):
     format: Literal["ltsim-calibration/1"] = "ltsim-calibration/1"
     """Name and version of the file format."""
     method: str = "network"
-    """Method: `network`, `distance`, `distance-l1`, `equation-9`, `equation-9-l1`, or `adjustment` (no parameters)."""
+    """Method of `calibrate` (`network`, `distance`...), or `adjustment`: network adjustment without parameters."""
     construction_name: str = Field(alias="construction")
     """Name of the geometric error model: `misalignment`, `dh`, `steering-mirror` or `ideal`."""
     fit: FitEntry = FitEntry()
@@ -124,7 +124,7 @@ class Calibration(UncertaintyEntry, ResultFile):
     correction: RecommendedCorrection | None = None
     """Recommended correction of readings; null if none was computed."""
     effects: tuple[FittedEffectEntry, ...] = ()
-    """Effects and laws that were estimated with the parameters on request (`--with`)."""
+    """Effects and empirical laws (functions such as `elevation ~ time`) that were estimated on request (`--with`)."""
     reflectors: tuple[ReflectorEntry, ...] = ()
     """Estimated incidence errors of the reflectors in fixed nests."""
     has_history_prior: bool = False
@@ -148,7 +148,7 @@ class Calibration(UncertaintyEntry, ResultFile):
 
     @classmethod
     def from_arrays(cls, arrays: CalibrationArrays, **fields: Any) -> Self:
-        """Calibration with the given arrays; `fields` are the values of its other fields."""
+        """Calibration with the given arrays; `fields` are the values of the other fields by their names."""
         factors = np.tile([p.si_per_display_unit for p in arrays.construction.parameters], len(arrays.instruments))
         defaults = {name: entry.get_default(call_default_factory=True) for name, entry in cls.model_fields.items()}
         fields = {name: value for name, value in defaults.items() if name not in FIELDS_NOT_COPIED} | fields
@@ -168,13 +168,13 @@ class Calibration(UncertaintyEntry, ResultFile):
         return result
 
     def with_changes(self, **changes: Any) -> Self:
-        """Copy of the calibration with other values of the given fields or arrays."""
+        """Copy of the calibration; `changes` are the new values of fields or arrays by their names."""
         array_names = {entry.name for entry in dataclasses.fields(CalibrationArrays)} & changes.keys()
         arrays = replace(self.arrays, **{name: changes.pop(name) for name in array_names})
         return self._with_arrays_and_fields(arrays, **changes)
 
     def _with_arrays_and_fields(self, arrays: CalibrationArrays, **changes: Any) -> Self:
-        """Copy of the calibration with the given arrays and other values of the given fields."""
+        """Copy of the calibration with the given arrays; `changes` are new values of other fields by their names."""
         fields = {name: getattr(self, name) for name in type(self).model_fields if name not in FIELDS_NOT_COPIED}
         return type(self).from_arrays(arrays, **{**fields, **changes})
 
@@ -328,13 +328,13 @@ class Calibration(UncertaintyEntry, ResultFile):
         }
 
     def for_instrument(self, instrument: int, parameter_indices: Ints) -> Self:
-        """Calibration of the instrument with index `instrument`, reduced to the parameters with the given indices."""
+        """Calibration of the instrument with index `instrument`, reduced to the parameters `parameter_indices`."""
         return self._with_arrays_and_fields(self.arrays.for_instrument(instrument, parameter_indices), correction=None)
 
     def applied_values_for(self, recording: Recording) -> Floats:
         """Parameters [SI], (parameters,) or (pointings, parameters), that a correction removes from a recording.
 
-        Parameters of a single instrument apply to any recording. Parameters of several instruments apply to the
+        Parameters of a single instrument apply to every recording. Parameters of several instruments apply to the
         instruments with their names.
 
         Raises
@@ -380,7 +380,7 @@ def _entries_per_instrument(
     make_entries: Callable[[Sequence[Parameter], Floats, Floats], list[EntryT]],
     transform: Callable[[Sequence[Parameter], Floats, Floats, Floats], tuple[Floats, Floats]] | None = None,
 ) -> tuple[EntryT, ...]:
-    """Entries of all instruments, made from estimates and covariance of each after the optional `transform`."""
+    """Entries of all instruments, from the estimates and covariance of each, which `transform` may change first."""
     several, size = len(arrays.instruments) > 1, arrays.construction.n_parameters
     flat_entries: list[EntryT] = []
     parameters = arrays.construction.parameters
@@ -394,7 +394,7 @@ def _entries_per_instrument(
 
 
 def _is_noise_estimated(noise: Sequence[NoiseRow]) -> bool:
-    """True if most of the noise was estimated from the same readings, so that the global test is not valid."""
+    """True if most of the noise was estimated from the residuals, so that the global test is not valid."""
     redundancy = sum(n.redundancy for n in noise)
     redundancy_estimated = sum(n.redundancy for n in noise if n.factor_sigma is not None)
     return redundancy_estimated > MAX_ESTIMATED_NOISE_FRACTION_FOR_GLOBAL_TEST * redundancy

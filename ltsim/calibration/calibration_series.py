@@ -31,7 +31,7 @@ from ltsim.solve.design import NORMAL_RANK_TOLERANCE
 MAX_EM_STEPS = 2000
 """Largest number of steps of the expectation-maximisation, which converges linearly."""
 MAX_LOG_VARIANCE_CHANGE_AT_CONVERGENCE = 1e-4
-"""Largest change of a log variance in one step of the expectation-maximisation below which the iteration ends."""
+"""Change of every log variance in one step of the expectation-maximisation, below which the iteration ends."""
 
 
 class ChiSquareEntry(Entry):
@@ -333,7 +333,7 @@ class CalibrationSeries(ValueEquality):
 
 
 def instrument_calibration(calibration: Calibration, instrument: str | None, label: str) -> Calibration:
-    """Calibration of one instrument, without the adjusted network.
+    """Calibration of one instrument, without the adjusted network; `label` names the calibration in errors.
 
     Raises
     ------
@@ -374,6 +374,8 @@ def _chi_square_test(difference: Floats, covariance: Floats) -> ChiSquareEntry:
 
 def days_since_first(labels: Sequence[str], dates: Sequence[str | None]) -> Floats | None:
     """Days since the first date, one number per calibration; None if a date is missing.
+
+    `labels` are the names of the calibrations in error messages.
 
     Raises RecordError for dates that are not in ISO form, a wrong number of dates, or a wrong order.
     """

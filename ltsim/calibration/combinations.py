@@ -53,7 +53,8 @@ UNDETERMINED_TABLE = Table(
     "combinations of parameters that are not determined",
     (
         *text_columns(
-            combination="coefficients, in units of the prior sigma", determined_by="measurement that determines it"
+            combination="coefficients, in units of the prior sigma",
+            determined_by="measurement that determines the combination",
         ),
         Column("information_percent", "fraction by which the readings reduce the prior variance", display_format=".1f"),
     ),

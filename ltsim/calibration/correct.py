@@ -34,7 +34,7 @@ def correct(
         Recording of the same instrument, with any network.
     calibration : Calibration, str or Path
     allow_repeated : bool
-        Also correct readings that the set-up declares corrected.
+        Also correct readings that `setup.toml` declares corrected.
     allow_rejected : bool
         Also use a calibration whose readings contradict its model.
 
@@ -56,7 +56,7 @@ def correct(
     """
     source, corrections = load_recording(recording), load_calibration(calibration)
     if not allow_repeated and any(source.instrument_of(name).corrected for name in source.stations):
-        raise RecordError("the set-up declares the readings corrected (corrected = true); correct readings only once")
+        raise RecordError("setup.toml declares the readings corrected (corrected = true); correct readings only once")
     if corrections.is_rejected and corrections.instrument_parameter_names and not allow_rejected:
         raise RecordError(
             f"the readings of the calibration contradict its model (sigma0 = {corrections.uncertainty_factor:.3g}), "
@@ -73,9 +73,9 @@ def correct(
 
 
 def incidence_reading_changes(recording: Recording, calibration: Calibration) -> Floats:
-    """Change of the readings by the estimated incidence errors of the reflectors, shape (pointings, 3).
+    """Change of the readings by estimated incidence errors of the reflectors, shape (pointings, 3) [m, rad, rad].
 
-    It is zero if the set-up declares no normals of nests, or if no approximate network can be computed.
+    The change is zero if `setup.toml` declares no normals of nests, or if no approximate network can be computed.
     """
     reflectors = calibration.applied_reflectors
     model = MeasurementModel(recording, ideal_construction())
@@ -90,7 +90,7 @@ def incidence_reading_changes(recording: Recording, calibration: Calibration) ->
 
 
 def corrected_readings(recording: Recording, construction: GeometricErrorModel, parameter_values: Floats) -> Floats:
-    """Readings of an ideal tracker for the measured points, shape (pointings, 3); NaN for missing readings.
+    """Readings (pointings, 3) [m, rad, rad] of an ideal tracker for the measured points; NaN for missing readings.
 
     `parameter_values` are the instrument parameters, shape (parameters,) or (pointings, parameters) [SI].
     """
@@ -106,9 +106,9 @@ def corrected_readings(recording: Recording, construction: GeometricErrorModel, 
 
 
 def _predicted_readings_of_incomplete_pointings(recording: Recording) -> Floats:
-    """Readings of an ideal tracker, predicted for pointings without a range or an angle, shape (pointings, 3).
+    """Readings (pointings, 3) [m, rad, rad] of an ideal tracker, predicted for pointings without a range or an angle.
 
-    They follow from an approximate network. All are zero if every pointing is complete.
+    The readings are computed from an approximate network; all are zero if every pointing is complete.
     """
     incomplete: Bools = np.asarray(~recording.is_measured.all(axis=1))
     if not incomplete.any():
@@ -126,7 +126,10 @@ def _predicted_readings_of_incomplete_pointings(recording: Recording) -> Floats:
 
 
 def _undetermined_rows_error(is_undetermined: Bools, reason_text: str) -> NetworkError:
-    """Error for pointings without a range or an angle whose target has no coordinates; `reason_text` says why."""
+    """Error for the pointings (flags `is_undetermined`) without a range or an angle whose target has no coordinates.
+
+    `reason_text` is the reason for the missing coordinates.
+    """
     return NetworkError(
         f"row {int(np.argmax(is_undetermined)) + 1} lacks a range or an angle, "
         f"and its target has no coordinates: {reason_text}"

@@ -41,7 +41,8 @@ OBJECTIVE_NORM_BY_DISTANCE_METHOD: dict[str, ObjectiveNorm] = {
     "equation-9": "squares",
     "equation-9-l1": "absolute",
 }
-"""Norm that each distance method minimises: `squares` (sum of squares) or `absolute` (sum of absolute values)."""
+"""Norm that each method of calibration by distances minimises: `squares` (sum of squares) or `absolute` (sum of
+absolute values)."""
 
 
 def calibrate_distance(
@@ -55,8 +56,8 @@ def calibrate_distance(
 ) -> Calibration:
     """Calibration by a distance method (Sensors 2021, 21, 7479, eq. 9 and 10), with options as in `ltsim.calibrate`.
 
-    Stations and targets follow from an adjustment of the corrected readings. Their covariance includes the uncertainty
-    of the parameters, which were estimated from the same readings.
+    Stations and targets are computed by an adjustment of the corrected readings. Their covariance includes the
+    uncertainty of the parameters, which were estimated from the same readings.
     """
     require_equal_radii(recording, f"the method {method}")
     model = construction or declared_construction(recording)
@@ -154,7 +155,10 @@ def _undetermined_entries(
     *,
     recommend_measurements: bool,
 ) -> tuple[UndeterminedEntry, ...]:
-    """Entries of the combinations of parameters that the distances do not determine."""
+    """Entries of the combinations of parameters that the distances do not determine.
+
+    With `recommend_measurements` the entries name the measurement that would determine the combination.
+    """
     instruments = adjustment.recording.instruments
     if len(instruments) == 1:
         return undetermined_entries(
@@ -172,7 +176,7 @@ def _undetermined_entries(
 
 @dataclass(frozen=True)
 class DistanceErrorPropagation:
-    """Propagation of the error of parameters from distances through the adjustment of the corrected readings.
+    """Propagation of errors of parameters, which were estimated from distances, through the network adjustment.
 
     Let e be the whitened noise of the readings and the gauge (reflectors at known distances). Let A be the matrix that
     maps observations to adjusted unknowns, D the design matrix of the adjustment, B the design matrix of the
@@ -190,7 +194,7 @@ class DistanceErrorPropagation:
     estimates: Floats
     """Estimated parameters, shape (instruments, parameters) [SI]."""
     distance_estimate: DistanceEstimate
-    """Estimate of the distance method with its covariance."""
+    """Parameters estimated from distances between targets, with their covariance."""
     adjustment: Adjustment
     """Adjustment of the corrected readings, without parameters."""
 
@@ -201,7 +205,7 @@ class DistanceErrorPropagation:
 
     @cached_property
     def _whitened_design(self) -> Floats:
-        """Whitened design matrix D of readings and gauge, shape (observations, unknowns of the network)."""
+        """Whitened design matrix D of readings and reference lengths, shape (observations, unknowns of the network)."""
         n_rows = len(self._used_reading_indices) + len(self.adjustment.problem.gauge_rows)
         return to_dense(self.adjustment.solution.system.design[:n_rows])
 
@@ -214,7 +218,7 @@ class DistanceErrorPropagation:
     def _parameter_design(self) -> Floats:
         """Whitened design matrix B of the parameters, shape (observations, parameters of all instruments).
 
-        The parameters are in units of their prior standard deviations. Rows of gauge lengths are zero.
+        The parameters are in units of their prior standard deviations. Rows of reference lengths are zero.
         """
         recording, (count, size) = self.recording, self.estimates.shape
         state = self.adjustment.state

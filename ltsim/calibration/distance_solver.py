@@ -7,9 +7,9 @@ steps. For absolute deviations, each step is the solution of a linear program.
 prior (gain above one half). The other combinations stay at zero with their prior uncertainty, so that the result is not
 the minimum of eq. 9.
 
-`solve_all_combinations` computes this minimum, for comparison with the paper. It can be restricted to a box around
-zero. It excludes only combinations that change no distance. It therefore fits the noise if the readings determine
-little: eq. 9 as printed has up to 78 parameters.
+`solve_all_combinations` computes this minimum, for comparison with the article. The parameters can be restricted to a
+box around zero. Only combinations that change no distance are excluded. The minimum therefore fits the noise if the
+readings determine little: eq. 9 as printed has up to 78 parameters.
 
 The objective ignores that distances share points, so that a covariance derived from it would be too small. The
 covariance computed here propagates the declared noise of each reading and of the gauge through the estimator.
@@ -49,8 +49,8 @@ class DistanceComparisons:
     """Derivative of each comparison with respect to each unknown in prior standard deviations, shape (comparisons,
     unknowns) [m]."""
     derivatives_by_noise: sp.csr_array
-    """Derivative of each comparison with respect to each whitened reading and gauge length, shape (comparisons, 3
-    pointings + gauge lengths) [m]."""
+    """Derivative of each comparison with respect to each whitened reading and reference length, shape (comparisons, 3
+    pointings + reference lengths) [m]."""
 
 
 @dataclass(frozen=True)
@@ -63,8 +63,8 @@ class DistanceEstimate:
     """Covariance of the estimates, shape (unknowns, unknowns). Combinations fixed at zero contribute their prior
     variance."""
     covariance_with_observations: Floats
-    """Covariance of the estimates with the whitened readings and gauge lengths, shape (unknowns, 3 pointings + gauge
-    lengths)."""
+    """Covariance of the estimates with the whitened readings and reference lengths, shape (unknowns, 3 pointings +
+    reference lengths)."""
     undetermined_combinations: tuple[ParameterCombination, ...]
     """Combinations of parameters that the distances do not determine and that are fixed at zero."""
     objective_value: float
@@ -76,14 +76,14 @@ class DistanceEstimate:
 
 
 def mean_deviation_comparisons(problem: DistanceProblem, distances: PairDistances) -> DistanceComparisons:
-    """Weighted deviations of distances from their means over stations and faces; their squares add to the objective."""
+    """Weighted deviations of distances from their means over stations and faces; the objective sums their squares."""
     centre, count = mean_removal_matrix(distances)
     scaled_centring = sp.diags_array(np.sqrt(count)) @ centre
     return _append_gauge_rows(problem, distances, sp.csr_array(scaled_centring))
 
 
 def pair_difference_comparisons(problem: DistanceProblem, distances: PairDistances) -> DistanceComparisons:
-    """Terms of the distance objective: differences between two stations or faces, or from a length of the gauge."""
+    """Terms of the distance objective: differences of distances between stations or faces, or from known lengths."""
     first, second = compared_distance_indices(distances)
     problem._check_matrix_size(len(first))
     n_distances = len(distances.lengths)
@@ -102,7 +102,7 @@ def _selection_matrix(row_indices: Ints, n_columns: int) -> sp.csr_array:
 def _append_gauge_rows(
     problem: DistanceProblem, distances: PairDistances, set_comparison_matrix: sp.csr_array
 ) -> DistanceComparisons:
-    """Comparisons between sets of pointings, followed by the deviations of distances from their gauge lengths."""
+    """Comparisons between sets of pointings, then the deviations of distances from their reference lengths."""
     at, which = problem.gauge_match_indices(distances)
     n_lengths = len(problem.reference_lengths)
     selection = _selection_matrix(at, len(distances.lengths))
@@ -133,7 +133,8 @@ def solve_determined_combinations(
     Raises
     ------
     NetworkError
-        If no pair of targets was measured from two stations (or faces), and there is no gauge.
+        If no pair of targets was measured from two stations (or faces), and no reference length is declared.
+
     """
     unknowns, free = _start_values(problem, start_values, fixed_mask)
     deviation_rows = mean_deviation_comparisons(problem, problem.distances_at(unknowns))
@@ -163,8 +164,8 @@ def solve_all_combinations(
 ) -> DistanceEstimate:
     """Minimum of the distance objective (Sensors 2021, 21, 7479, eq. 9) over all combinations of unknowns.
 
-    Each unknown stays within `bound_in_prior_sigmas` prior standard deviations of zero, if given. The other arguments
-    and the errors are as in `solve_determined_combinations`.
+    Each unknown stays within `bound_in_prior_sigmas` prior standard deviations of zero; None for no bound. The other
+    arguments and the errors are as in `solve_determined_combinations`.
 
     Raises
     ------
@@ -192,7 +193,7 @@ def solve_all_combinations(
 def _start_values(
     problem: DistanceProblem, start_values: Floats | None, fixed_mask: Bools | None
 ) -> tuple[Floats, Bools]:
-    """Start values of the unknowns, and mask of the unknowns to estimate, both of shape (unknowns,)."""
+    """Start values of the unknowns, and mask of the unknowns to estimate (not in `fixed_mask`), shape (unknowns,)."""
     n_parameters = problem.prior_sigma.size
     unknowns: Floats = np.zeros(n_parameters) if start_values is None else start_values.copy()
     return unknowns, np.ones(n_parameters, dtype=bool) if fixed_mask is None else ~fixed_mask
@@ -201,7 +202,9 @@ def _start_values(
 def _require_distance_comparisons(comparisons: DistanceComparisons, is_free_unknown: Bools) -> None:
     """Check that a comparison of distances depends on the free unknowns; raises NetworkError otherwise."""
     if not np.any(comparisons.derivatives_by_unknowns[:, is_free_unknown]):
-        raise NetworkError("no distance can be compared: stations share no pair of targets, and there is no gauge")
+        raise NetworkError(
+            "no distance can be compared: stations have no pair of common targets, and no gauge is declared"
+        )
 
 
 def _make_estimate(
@@ -297,7 +300,7 @@ def _bounded_step(
     norm: ObjectiveNorm,
     bound_in_prior_sigmas: float | None,
 ) -> Floats:
-    """Step of the free unknowns that minimises the linearised objective within the bounds of the unknowns."""
+    """Step that minimises the linearised objective, with unknowns within the bound of zero (None: unbounded)."""
     design = comparisons.derivatives_by_unknowns[:, is_free_unknown]
     if bound_in_prior_sigmas is None:
         visible = _split_observable_combinations(comparisons, is_free_unknown)[0][is_free_unknown]
@@ -357,9 +360,10 @@ def estimate_covariance(
 ) -> tuple[Floats, Floats]:
     """Covariance of the estimates (unknowns, unknowns), and their covariance with the whitened observations.
 
-    The observations are the readings and gauge lengths. For absolute deviations, the asymptotic distribution of the
-    median for correlated normal observations is used: the score of an observation is its sign, with E[sign sign] = 2/pi
-    asin(correlation), to first order off the diagonal.
+    Only the `estimated_combinations` (unknowns, combinations) vary. The observations are the readings and reference
+    lengths. For absolute deviations, the asymptotic distribution of the median for correlated normal observations is
+    used: the score of an observation is its sign, with E[sign sign] = 2/pi asin(correlation), to first order off the
+    diagonal.
     """
     design = comparisons.derivatives_by_unknowns @ estimated_combinations
     if norm == "squares":

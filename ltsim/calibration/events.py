@@ -43,7 +43,7 @@ class EventEntry(Entry):
     difference: Finite
     """Later minus earlier estimate, in `unit`."""
     sigma: NotNegative
-    """Standard deviation of the difference."""
+    """Standard deviation of `difference`, in `unit`."""
     usual_step_sigma: NotNegative
     """Standard deviation of all other changes of this parameter between successive calibrations; estimation errors
     are not included."""

@@ -103,7 +103,7 @@ def log_marginal_likelihood(
 
 
 def forward_select(score_function: Callable[[Collection[int]], Floats], min_score: float) -> dict[int, Floats]:
-    """Index of each change chosen by forward selection, with the scores of all candidates when it was chosen.
+    """Index of each parameter change that forward selection chose, with the scores of all changes at that step.
 
     `score_function` returns the score of each candidate change, given the indices of the changes selected so far. The
     change with the largest score is added while this score exceeds `min_score`. After each addition, every earlier
@@ -122,7 +122,7 @@ def forward_select(score_function: Callable[[Collection[int]], Floats], min_scor
 def estimates_with_plausible_priors(
     parameters: Sequence[Parameter], estimates: Floats, covariance: Floats, prior_sigma: Floats
 ) -> tuple[Floats, Floats]:
-    """Estimates and covariance [SI] that result if each parameter has its plausible prior.
+    """Estimates and covariance [SI] if the prior standard deviation of each parameter is its plausible size.
 
     A tighter prior would conceal combinations that the readings determine. `estimates` and `prior_sigma` have the shape
     (parameters,), `covariance` (parameters, parameters).
@@ -245,10 +245,11 @@ def score_weights_and_constants_by_size(
     sizes: Floats = RELATIVE_EFFECT_SIZES,
     log_size_prior: Floats = LOG_PRIOR_OF_EFFECT_SIZES,
 ) -> tuple[Floats, Floats]:
-    """Weights of the squared scores and additive constants in the log evidence of an effect, at each of its sizes.
+    """Weights of the squared scores and additive constants in the log evidence of an effect, at each of its `sizes`.
 
-    `information_strength` (..., components) is the information on each independent component of the effect. The weights
-    have the shape (..., components, sizes), the constants (..., sizes).
+    `information_strength` (..., components) is the information on each independent component of the effect.
+    `log_size_prior` (sizes,) are the log prior probabilities of the sizes. The weights have the shape (..., components,
+    sizes), the constants (..., sizes).
     """
     scale = 1.0 + sizes**2 * np.asarray(information_strength)[..., None]
     return 0.5 * sizes**2 / scale, log_size_prior - 0.5 * np.log(scale).sum(axis=-2)

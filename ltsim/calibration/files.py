@@ -20,7 +20,7 @@ CalibrationSource = Calibration | str | Path
 
 
 def write_calibration(calibration: Calibration, folder: Path) -> Calibration:
-    """Writing of a calibration and its tables to a folder; returns the calibration with the digests of the files.
+    """Writing of a calibration and its tables to a folder; returns the calibration with hashes of the files.
 
     The files are `calibration.json`, `targets.csv`, and for a network the residuals and the covariance.
 
@@ -59,7 +59,8 @@ def read_calibration(path: Path) -> Calibration:
     """Calibration read from a `calibration.json`, or from the folder that contains it.
 
     The targets and the network are not in this file. Without a covariance in the file the parameters count as
-    uncorrelated. Missing parameters are zero with their prior standard deviation, and a warning reports them.
+    uncorrelated. Missing parameters are zero with the prior standard deviation of the error model, and a warning
+    reports them.
 
     Raises
     ------
@@ -101,7 +102,7 @@ def _rejected_fit_warnings(content: Calibration, file: Path) -> tuple[str, ...]:
 
 
 def _missing_parameters_warnings(names: list[str], file: Path) -> tuple[str, ...]:
-    """Warning with the names of the parameters that a file lacks; empty if it lacks none."""
+    """Warning with the names of the parameters that a file lacks; empty for a complete file."""
     if not names:
         return ()
     phrase = "one parameter is" if len(names) == 1 else f"{len(names)} parameters are"

@@ -77,7 +77,7 @@ CALIBRATION_FITS_TABLE = Table(
     "fit statistics of each calibration",
     (
         *text_columns(calibration="label"),
-        Column("chi2", "weighted sum of squares", n_digits=3),
+        Column("chi2", "weighted sum of squared residuals", n_digits=3),
         Column("degrees_of_freedom", "degrees of freedom of the fit"),
         Column("sigma0", "standard deviation of unit weight", n_digits=3),
     ),

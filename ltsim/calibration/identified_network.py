@@ -57,7 +57,7 @@ class IdentifiedNetwork:
         robust: bool = False,
         datum_names: Sequence[str] | None = None,
     ) -> Self:
-        """Network of a recording, with the prior of its set-up; `datum_names` are the targets that define the datum.
+        """Network of a recording, with the prior in `setup.toml`; `datum_names` are the targets that define the datum.
 
         Raises NetworkError or ConvergenceError if the network cannot be solved; the message names the next action.
         """
@@ -93,7 +93,7 @@ class IdentifiedNetwork:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """Sentences on the causes in the model, and on readings that contradict the model; empty without any."""
+        """Sentences on the causes in the model, and on readings that contradict the model; empty without both."""
         return tuple(dict.fromkeys(filter(None, (self.corrections_text, *self.warnings))))
 
     @property
@@ -120,7 +120,7 @@ def network_uncertainty_factor(adjustment: Adjustment) -> float:
 def cause_tests_of_adjustment(selection: CauseSelection | None, adjustment: Adjustment) -> tuple[CauseTest, ...]:
     """Tests of the selected causes and of the outliers, which state if the model of an adjustment contains the cause.
 
-    `adjustment` is that of `adjust_with_cause_selection` for the same `selection`; None for no causes.
+    `adjustment` is the result of `adjust_with_cause_selection` for this `selection`, which is None for no causes.
     """
     if selection is None:
         return ()
@@ -137,7 +137,7 @@ def cause_tests_of_adjustment(selection: CauseSelection | None, adjustment: Adju
 
 
 def _contains_cause(adjustment: Adjustment, hypothesis: CauseHypothesis) -> bool:
-    """True if an adjustment without all selected causes contains this one, or if it changes only the noise."""
+    """True if the model of an adjustment contains the cause of `hypothesis`, or if this cause is larger noise."""
     change = hypothesis.model_change
     if isinstance(change, ReferenceOmission):
         value = change.reference_value
@@ -163,7 +163,8 @@ def adjust_with_cause_selection(
 ) -> Adjustment:
     """Adjustment with the options of a calibration, with `effects`, and with the selected causes of a misfit.
 
-    `selection` is the result of `identify_causes`; None for no causes.
+    `selection` is the result of `identify_causes`; None for no causes in the model. `robust`, `grouping` (of the
+    estimated noise), `datum` and `prior` are as in `ltsim.adjustment.estimate.adjust`.
     """
     how: dict[str, Any] = {"robust": robust, "noise_grouping": grouping, "datum_names": datum, "prior": prior}
     if selection is not None and selection.requires_adjustment_with_causes:
@@ -200,7 +201,7 @@ def _cause_sentences(selection: CauseSelection) -> tuple[str, ...]:
 
 
 def _require_available_datum(adjustment: Adjustment, datum: Sequence[str] | None) -> Adjustment:
-    """The given adjustment; raises NetworkError if `datum` is requested although control points define the frame."""
+    """Unchanged `adjustment`; raises NetworkError if `datum` is requested although control points define the frame."""
     if datum and not adjustment.problem.free_motions.shape[1]:
         raise NetworkError(
             "the control points define the frame already: leave out the datum, or the coordinates of the control points"

@@ -58,13 +58,13 @@ def calibrate_network(
     Parameters
     ----------
     parameter_selection : ParameterSelection, optional
-        Parameters to estimate, and their prior. Default: all, with the prior of the set-up.
+        Parameters to estimate, and their prior. Default: all, with the prior in `setup.toml`.
     choose_correction : bool
         True to shrink the correction (`calibration.shrinkage`), to widen priors that the readings contradict, and
         to identify single causes of a misfit, such as a moved station. If False, the model and the priors are the
         declared ones, and the estimates are linear in the readings.
     requested_effects : sequence of RequestedEffect
-        Effects of the catalogue and empirical laws that are estimated together with the parameters.
+        Physical effects, and empirical laws (functions of time, angles and so on), that are also estimated.
     """
     recording.require_at_most(MAX_CALIBRATED_POINTINGS, MAX_CALIBRATED_TARGETS, "a calibration")
     require_few_effects(len(requested_effects), len(recording))
@@ -166,7 +166,7 @@ def adjust(
     noise_from_data : bool
         True to estimate the noise of each observable and instrument from the residuals.
     datum : str or sequence of str, optional
-        Targets that define the datum by inner constraints. Default: the selection in the set-up.
+        Targets that define the datum by inner constraints. Default: the selection in `setup.toml`.
 
     Returns
     -------
@@ -201,7 +201,7 @@ def adjust(
 def _fit_with_instrument_constants(adjustment: Adjustment) -> FitEntry | None:
     """Fit statistics with the instrument constants estimated too, from the readings in use.
 
-    It is None for corrected instruments, and if the fit without instrument constants is not rejected.
+    The result is None for corrected instruments, and if the fit without instrument constants is not rejected.
     """
     recording = adjustment.recording
     if recording.is_corrected or network_uncertainty_factor(adjustment) == 1.0:

@@ -1,4 +1,4 @@
-"""The paper's distance objective (Sensors 2021, 21, 7479, eq. 9 and 10) in matrix form.
+"""Objective of a calibration by distances between targets (Sensors 2021, 21, 7479, eq. 9 and 10), in matrix form.
 
 Distances between all pairs of targets are compared between all pairs of stations. Distances on the gauge (reflectors at
 known distances) are compared with their reference lengths. Distances do not depend on poses. The two faces of a station
@@ -24,7 +24,10 @@ from ltsim.recordings.recording import Recording
 
 @dataclass(frozen=True)
 class PairDistances:
-    """Distances between pairs of targets within each set of pointings (one station and one face), with derivatives."""
+    """Distances between pairs of targets within each set of pointings (one station and one face).
+
+    Derivatives are with respect to the readings and to the instrument parameters.
+    """
 
     lengths: Floats
     """Distances between the two targets of each pair, shape (distances,) [m]."""
@@ -50,7 +53,7 @@ class DistanceProblem:
 
     @cached_property
     def reference_lengths(self) -> GaugeRows:
-        """Reference lengths (of the gauge) that the set-up declares."""
+        """Reference lengths (known distances of targets) that `setup.toml` declares."""
         return GaugeRows.from_recording(self.recording)
 
     @cached_property
@@ -120,7 +123,7 @@ class DistanceProblem:
         return distances, unit, np.einsum("di,dip->dp", unit, means[a]) - np.einsum("di,dip->dp", unit, means[b])
 
     def distances_of_points(self, points: Floats) -> Floats:
-        """Distances (distances, trials) within all sets (station and face), from points (pointings, 3, trials)."""
+        """Distances (distances, trials) [m] within sets (station and face), from points (pointings, 3, trials) [m]."""
         averaging, _ = self._averaging_matrix
         a, b, _ = self._distance_end_and_pair_indices
         means = (averaging @ points.reshape(len(points), -1)).reshape(-1, *points.shape[1:])
@@ -144,7 +147,11 @@ class DistanceProblem:
         return point, by_reading * recording.reading_sigmas()[:, None, :], design
 
     def _reading_derivatives(self, directions: Floats, point_derivatives: Floats) -> sp.csr_array:
-        """Derivative of the distances with respect to the whitened readings, shape (distances, 3 pointings)."""
+        """Derivative of the distances with respect to the whitened readings, shape (distances, 3 pointings).
+
+        `directions` (distances, 3) are unit vectors along the distances, `point_derivatives` (pointings, 3, 3) those of
+        the points with respect to the readings.
+        """
         averaging, _ = self._averaging_matrix
         a, b, _ = self._distance_end_and_pair_indices
         n = len(point_derivatives)

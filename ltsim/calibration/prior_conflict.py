@@ -29,7 +29,7 @@ MAX_WIDENED_PRIOR_FRACTION = 0.25
 """Largest fraction of an instrument's parameters whose contradicted priors are widened one by one. If more priors
 are contradicted, the scale of all priors is wrong; `shrinkage` then estimates this scale."""
 CORRECTED_INSTRUMENT_PHRASE = "its declared correction, which leaves errors of"
-"""Phrase in sentences in place of `its prior`, for an instrument that the set-up declares corrected."""
+"""Phrase in sentences in place of `its prior`, for an instrument that `setup.toml` declares corrected."""
 
 
 def sigma0_of_readings(adjustment: Adjustment) -> float:
@@ -97,8 +97,8 @@ def contradicted_prior_mask(adjustment: Adjustment, prior: ParameterPrior) -> Bo
 def prior_conflict_sentences(calibration: Calibration) -> tuple[str, ...]:
     """Sentences on the parameters that contradict their prior most, or else on a contradicting combination.
 
-    Parameters whose prior was widened are reported too. Parameters and combinations share one prior probability of a
-    contradiction.
+    Parameters whose prior was widened because of the contradiction are also reported. Parameters and combinations share
+    one prior probability of a contradiction.
     """
     if not calibration.estimates.size or calibration.adjustment is None:
         return ()
@@ -114,7 +114,7 @@ def prior_conflict_sentences(calibration: Calibration) -> tuple[str, ...]:
         name, p = rows[k]
         sentences.append(
             f"{name}: the readings give {with_sigma(p.value, p.sigma, p.unit)}, which contradicts "
-            f"{references[k // size]} {p.prior_sigma:.3g} {p.unit}: the estimate follows the readings"
+            f"{references[k // size]} {p.prior_sigma:.3g} {p.unit}: the readings determine the estimate"
         )
         if lengths and calibration.construction.parameters[k % size].specified_quantity == "range_scale":
             sentences[-1] += " and the reference lengths: check their temperature and expansion coefficient"
@@ -164,7 +164,8 @@ def _normalised_deviations(deviation: Floats, information_gain: Floats) -> Float
 def _combination_sentences(calibration: Calibration, prior: ParameterPrior, scale: float) -> tuple[str, ...]:
     """Sentence on the combination of parameters that contradicts the prior most; empty without a contradiction.
 
-    The tested combinations are independent: eigenvectors of the covariance in prior standard deviations.
+    `scale` multiplies the standard deviations. The tested combinations are independent: eigenvectors of the covariance
+    in prior standard deviations.
     """
     n_parameters = calibration.construction.n_parameters
     for i in range(len(calibration.instruments)):

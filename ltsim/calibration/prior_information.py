@@ -20,7 +20,7 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import read_json, read_result
 
 NO_PRIOR_SIGMA_FACTOR = 1000.0
-"""Factor on the prior standard deviations of the set-up for a calibration without a prior. The resulting standard
+"""Factor on the prior standard deviations in `setup.toml` for a calibration without a prior. The resulting standard
 deviations are 10 to 20 mm and 15 mrad, for which the linearisation is still valid."""
 
 
@@ -33,7 +33,7 @@ class EarlierCalibrationPrior:
     parameters: tuple[str, ...]
     """Names of the parameters."""
     instruments: tuple[str, ...]
-    """Names of the instruments. A prior of a single instrument applies to any instrument of a recording."""
+    """Names of the instruments. A prior of a single instrument applies to every instrument of a recording."""
     mean: Floats
     """Mean of the parameters, shape (instruments, parameters) [SI]."""
     covariance: Floats
@@ -128,7 +128,7 @@ class EarlierCalibrationPrior:
 
 @dataclass(frozen=True)
 class ParameterSelection:
-    """Selection of the parameters to estimate and of their prior; by default all, with the prior of the set-up.
+    """Selection of the parameters to estimate and of their prior; by default all, with the prior in `setup.toml`.
 
     A name selects one parameter (`beam-tilt`), all parameters that begin with it (`azimuth-eccentricity`, `J1.eX`), or
     the parameter of one instrument (`beam-tilt@TRACKER`).
@@ -141,7 +141,7 @@ class ParameterSelection:
     fixed_values: Mapping[str, float] = field(default_factory=dict)
     """Value of each parameter that is fixed at a value, in its display unit, by the name of the parameter."""
     earlier_calibration_prior: EarlierCalibrationPrior | None = None
-    """Prior from earlier calibrations that replaces the prior of the set-up."""
+    """Prior from earlier calibrations that replaces the prior in `setup.toml`."""
     has_no_prior: bool = False
     """True for a calibration without a prior: the prior standard deviations of the recording's `setup.toml`
     (declared or default) are then multiplied by `NO_PRIOR_SIGMA_FACTOR`."""
@@ -193,9 +193,9 @@ class ParameterSelection:
 def parameter_vector_indices(
     parameter_or_prefix: str, parameters: Sequence[str], instruments: Sequence[str]
 ) -> list[int]:
-    """Indices of a parameter, or of all parameters with a given prefix, in the vector of all instruments' parameters.
+    """Indices of a parameter, or of all that begin with a prefix, in the vector of all instruments' parameters.
 
-    Raises ModelError if there is none.
+    Raises ModelError if no parameter has this name or prefix.
     """
     name, at, instrument = parameter_or_prefix.strip().partition("@")
     if at and instrument not in instruments:
@@ -209,7 +209,7 @@ def parameter_vector_indices(
 
 
 def check_prior_names(recording: Recording, construction: GeometricErrorModel) -> None:
-    """Check that the set-up declares priors only for parameters of `construction`; raises InputError otherwise."""
+    """Check that `setup.toml` declares priors only for parameters of `construction`; raises InputError otherwise."""
     setup = recording.setup
     tables = {"instrument": setup.instrument, **{f"instruments.{k}": i for k, i in setup.instruments.items()}}
     parameter_names = {*construction.parameter_names, *all_instrument_parameter_names()}

@@ -51,9 +51,9 @@ def uncertainty_factor(fit: FitEntry, *, is_sigma0_credible: bool | None = None)
 
 
 def with_reported_uncertainty(calibration: Calibration) -> Calibration:
-    """Copy of a calibration whose standard deviations include errors of the air and a contradiction of the model.
+    """Copy of a calibration whose standard deviations include errors of the air and a rejected model.
 
-    They are multiplied by sigma0 if the readings contradict the model.
+    The standard deviations are multiplied by sigma0 if the readings contradict the model.
     """
     verdict, adjustment = calibration.verdict, calibration.adjustment
     factor = uncertainty_factor(
@@ -83,7 +83,7 @@ def with_reported_uncertainty(calibration: Calibration) -> Calibration:
 def target_covariance_csv_text(calibration: Calibration) -> str | None:
     """Text of `targets.covariance.csv`, the joint covariance of the targets.
 
-    None for a calibration without network, and for too many targets.
+    The result is None for a calibration without network, and for too many targets.
     """
     adjustment = calibration.adjustment
     if adjustment is None or len(calibration.target_names) > MAX_TARGETS_IN_COVARIANCE_FILE:
@@ -141,7 +141,10 @@ def _scaled_fitted_entry(entry: FittedEntryT, factor: float) -> FittedEntryT:
 
 
 def _hidden_errors(adjustment: Adjustment, covariance: Floats) -> tuple[HiddenError, ...]:
-    """Errors that do not change the readings but displace the targets noticeably compared with their sigmas."""
+    """Errors that do not change the readings but displace the targets noticeably compared with their sigmas.
+
+    `covariance` (targets, 3, 3) [m^2] is the covariance of the coordinates of each target.
+    """
     variance = np.einsum("tii->t", covariance)
     is_determined = np.isfinite(variance)
     if not is_determined.any():

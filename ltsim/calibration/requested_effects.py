@@ -1,4 +1,7 @@
-"""Estimation of effects and empirical laws that the user requests, together with the calibration.
+"""Estimation of effects that the user requests, together with the calibration.
+
+An effect is a physical effect from the list of ltsim, or an empirical law: a function of time, angles and so on that
+describes changes of the readings.
 
 Stations, targets and shape parameters (period, time constant, onset time) that the user does not fix are selected so
 that chi-square decreases most. The shape parameters are then adjusted with all other unknowns. The p-value of the
@@ -31,12 +34,12 @@ from ltsim.solve.gauss_newton import MAX_DECISION_CHANGES
 
 @dataclass(frozen=True)
 class RequestedEffect:
-    """Effect or empirical law that the user requests, and the fields that the user fixed."""
+    """Effect (or empirical law, a function such as `elevation ~ time`) that the user requests, and its fixed fields."""
 
     effect: CandidateEffect
     """Effect with the requested stations, targets and shape parameters."""
     fixed_fields: frozenset[str] = frozenset()
-    """Names of the fields whose values the user gave; the readings determine the other ones."""
+    """Names of the fields whose values the user gave; the readings determine the other fields."""
 
     def require_estimable(self, recording: Recording, construction: GeometricErrorModel) -> None:
         """Check that the effect can be estimated in the calibration of a recording; raises ModelError otherwise."""
@@ -125,7 +128,10 @@ def _refit_with_best_shape_parameters(
     effects: Sequence[CandidateEffect],
     fixed_fields: Sequence[frozenset[str]],
 ) -> tuple[Adjustment, Refit]:
-    """Adjustment with effects whose shape parameters minimise chi-square, and the last refit of these parameters."""
+    """Adjustment with effects whose shape parameters minimise chi-square, and the last refit of these parameters.
+
+    `fixed_fields` are the names of the fields of each effect that keep their value.
+    """
     for _ in range(MAX_DECISION_CHANGES):
         adjustment = adjust_with(effects)
         near = adjustment.with_effects
@@ -161,7 +167,10 @@ def _law_size_entries(law: EmpiricalLaw, adjustment: Adjustment) -> tuple[Fitted
 def _effect_entries(
     effect: CandidateEffect, estimates: Sequence[ParameterEstimate], fixed_fields: frozenset[str]
 ) -> tuple[FittedParameterEntry, ...]:
-    """Entries of an effect for the result: sizes, then shape parameters (names, fixed numbers, estimated numbers)."""
+    """Entries of an effect for the result: sizes, then shape parameters (names, fixed numbers, estimated numbers).
+
+    `fixed_fields` are the names of the shape parameters that the user fixed.
+    """
     parameter_entries = [_parameter_entry(*estimate) for estimate in estimates]
     words = [
         FittedParameterEntry(name=key, value=value if isinstance(value, str) else float(value), unit="")

@@ -82,7 +82,7 @@ def reflector_entries(adjustment: Adjustment) -> tuple[ReflectorEntry, ...]:
 def station_poses(adjustment: Adjustment, covariance: Floats | None = None) -> tuple[StationPose, ...]:
     """Poses of the stations with standard deviations from `covariance` (stations, 6, 6).
 
-    The default is the covariance of the adjustment.
+    By default `covariance` is that of the adjustment.
     """
     spread = adjustment.pose_covariance if covariance is None else covariance
     sigma = np.sqrt(np.maximum(np.einsum("sii->si", spread), 0.0))
@@ -209,7 +209,7 @@ def reference_value_entries(adjustment: Adjustment) -> tuple[ReferenceValueTestE
 def axes_entry(adjustment: Adjustment) -> AxesEntry | None:
     """Standard deviations of the axes that declared coordinates define, from their misfit to the network.
 
-    None if the set-up declares no such coordinates.
+    The result is None if `setup.toml` declares no such coordinates.
     """
     accepted_tests = [test for test in adjustment.axes_point_tests if not test.is_excluded]
     if not accepted_tests:
@@ -294,7 +294,10 @@ def frame_text(adjustment: Adjustment) -> str:
 
 
 def _datum_text(adjustment: Adjustment, station: str) -> str:
-    """Text for users on the definition of the datum, which fixes the free motions of the network."""
+    """Text for users on the definition of the datum, which fixes the free motions of the network.
+
+    `station` is the name of the station that defines the datum if nothing else does.
+    """
     state, frame = adjustment.state, DeclaredFrame.from_recording(adjustment.recording)
     if adjustment.datum is not None and _has_declared_datum_points(adjustment):
         source = adjustment.recording.setup.datum_source
@@ -310,7 +313,7 @@ def _datum_text(adjustment: Adjustment, station: str) -> str:
 
 
 def _has_declared_datum_points(adjustment: Adjustment) -> bool:
-    """True if the set-up declares coordinates of targets that define the datum."""
+    """True if `setup.toml` declares coordinates of targets that define the datum."""
     names = adjustment.datum.point_names if adjustment.datum is not None else ()
     setups = [adjustment.recording.target_setup(name) for name in names]
     return any(s.approximate_mm or s.known_mm for s in setups)
@@ -338,8 +341,9 @@ def criteria_entry(
 ) -> CriteriaEntry | None:
     """Disagreement of the stations before and after correction, without excluded pointings; None for a single station.
 
-    The correction removes the estimated effects and, if `corrects_reflectors` is True, the incidence errors of the
-    reflectors, as in `correct`. Other estimated errors remain.
+    The correction with the instrument parameters `parameter_values` [SI] removes the estimated effects and, if
+    `corrects_reflectors` is True, the incidence errors of the reflectors, as in `correct`. Other estimated errors
+    remain.
     """
     use: Bools = np.asarray(~adjustment.is_rejected_reading.any(axis=1))
     recording = _recording_with_reference_smr(recording, adjustment)

@@ -32,16 +32,16 @@ RESIDUALS_TABLE = Table(
         *number_columns(face="1 or 2", repeat="repetition, from 1"),
         *text_columns(observable="distance, azimuth or elevation"),
         *number_columns(".6g", residual="observed minus adjusted, in `unit`"),
-        *text_columns(unit="of the residual"),
+        *text_columns(unit="unit of the residual"),
         *number_columns(
-            ".4f", redundancy="fraction of an error that appears in its residual, 0 to 1", w="normalised residual"
+            ".4f", redundancy="part of an error of the reading that its residual shows, 0 to 1", w="normalised residual"
         ),
     ),
 )
 
 
 class FitEntry(Entry):
-    """Fit statistics of readings and model; sigma0 and the p-value are null without redundancy."""
+    """Statistics of the misfit of readings and model; sigma0 and the p-value are null without redundancy."""
 
     chi2: Finite = 0.0
     """Chi-square: weighted sum of squared residuals."""
@@ -76,9 +76,9 @@ class ParameterEntry(Entry):
     prior_sigma: Positive | None = None
     """Prior standard deviation of the parameter, in `unit`."""
     held: bool = False
-    """True if the parameter was not estimated but fixed at this value."""
+    """True if the parameter was not estimated but fixed at `value`."""
     prior_rejected: bool = False
-    """True if the readings contradict the prior, so that the estimate follows the readings."""
+    """True if the readings contradict the prior, so that the prior hardly influences the estimate."""
     applied_value: OptionalFloat = None
     """Correction (true minus reading) that is applied to readings, in `unit`; null if it equals `value`. A smaller
     value than `value` is applied if it is expected to make points more accurate. For a parameter that the readings
@@ -137,12 +137,12 @@ class StationPose(Entry):
 
     @property
     def sigma_position(self) -> Floats:
-        """Standard deviation of the position, (3,) [m]; NaN if the file has none."""
+        """Standard deviation of the position, (3,) [m]; NaN if the file does not contain it."""
         return np.array(self.sigma_position_mm or [np.nan] * 3, dtype=np.float64) * MILLIMETRE
 
     @property
     def sigma_rotation(self) -> Floats:
-        """Standard deviation of the rotation, (3,) [rad]; NaN if the file has none."""
+        """Standard deviation of the rotation, (3,) [rad]; NaN if the file does not contain it."""
         return np.array(self.sigma_rotation_arcsec or [np.nan] * 3, dtype=np.float64) * ARCSECOND
 
 
@@ -179,7 +179,7 @@ class OutlierRow(Entry):
     """p-value of the w-test, or of the tau-test if the noise is estimated, corrected for the number of readings. Null
     for excluded readings."""
     pointing_excluded: bool = False
-    """True if the whole pointing was excluded; this is then its reading with the largest residual."""
+    """True if the whole pointing was excluded; the entry is then its reading with the largest residual."""
     excluded: bool = False
     """True if the reading was excluded from the adjustment."""
 
@@ -288,7 +288,7 @@ class RecommendedCorrection(Entry):
 
 
 class FittedParameterEntry(Entry):
-    """Number or text that describes an estimated effect: a parameter, shape parameter, or size of an empirical law."""
+    """Value that describes an estimated effect: a parameter, shape parameter, or size of an empirical law."""
 
     name: str
     """Name of the parameter as in `ltsim effects`; for an empirical law the name of a size, such as `amplitude` or
@@ -302,7 +302,7 @@ class FittedParameterEntry(Entry):
 
 
 class FittedEffectEntry(Entry):
-    """Effect or empirical law that was estimated with the calibration because the user requested it."""
+    """Effect or empirical law (a function such as `elevation ~ time`) that was estimated at the request of the user."""
 
     effect: str
     """Name of the effect as in `ltsim effects`; for an empirical law its text, such as `elevation ~ time`."""
@@ -315,7 +315,7 @@ class FittedEffectEntry(Entry):
     n_distinguishable_parameters: int
     """Number of the effect's parameters that the recording distinguishes from all other unknowns."""
     n_candidates: int
-    """Number of tested combinations of stations, targets and shape parameters, from which this combination was
+    """Number of tested combinations of stations, targets and shape parameters, from which the reported one was
     selected."""
 
     @property
@@ -346,7 +346,7 @@ class ReflectorEntry(Entry):
     """Incidence error (range error by angle of incidence) of a reflector in fixed nests, estimated with the network."""
 
     reflector: str = ""
-    """Name of the reflector; empty if the recording names none."""
+    """Name of the reflector; empty if the recording contains no names of reflectors."""
     parameters: tuple[FittedParameterEntry, ...]
     """Parameters of the reflector's incidence error, as in the effect `smr-incidence`."""
 

@@ -39,20 +39,20 @@ from ltsim.solve.design import to_dense
 CANDIDATE_PRIOR_SCALES = np.geomspace(1e-4, 1e4, 161)
 """Scales of the prior (factors on the declared standard deviations) that are tested, in steps of 12 %."""
 MIN_REJECTION_LOG_LIKELIHOOD_RATIO = 0.5 * float(special.chdtri(1, FAMILY_WISE_LEVEL))
-"""Log-likelihood ratio of the most likely scale of the prior to the declared scale 1, above which this is rejected."""
+"""Log-likelihood ratio of the most likely scale of the prior to the declared scale 1, above which 1 is rejected."""
 MAX_PLAUSIBLE_LOG_LIKELIHOOD_RATIO = 0.5 * float(special.chdtri(1, 2.0 * GLOBAL_TEST_LEVEL))
 """Log-likelihood ratio of the most likely scale of the prior to another scale, up to which the other scale counts as
 plausible."""
 MAX_PRIOR_SCALE = 30.0
-"""Largest plausible scale of the prior. A misfit that needs a larger one has another cause than the instrument."""
+"""Largest plausible scale of the prior. A misfit that needs a larger scale is not caused by the instrument."""
 MIN_APPLIED_TO_ESTIMATED_CORRECTION_RATIO = 0.02
 """Ratio of the applied to the estimated correction (rms change of a point) below which no correction is applied."""
 MIN_HELD_OUT_IMPROVEMENT = 2.0
-"""Decrease of the sum of squared held-out residuals without a parameter (2: Akaike) above which it is not applied."""
+"""Decrease of the sum of squared held-out residuals by the omission of a parameter, above which it is omitted."""
 MAX_DENSE_UNKNOWNS = 500
 """Largest number of unknowns for which a dense inverse or orthonormal basis is computed, because of processor time."""
 MIN_PREDICTED_TARGETS = 5
-"""Smallest number of held-out targets for which it is tested whether they are predicted better without a parameter."""
+"""Smallest number of held-out targets for a test whether they are predicted better without a parameter."""
 
 
 def recommend_correction(
@@ -66,8 +66,9 @@ def recommend_correction(
     """Recommended correction for the result, and the parameters to apply, shape (instruments, parameters) [SI].
 
     `prior_widening_factor` is the factor by which the declared prior was widened to represent no prior; the scale of
-    the prior is then always estimated. With a prior from earlier calibrations (`has_history_prior`) all parameters are
-    applied, and the scale is at least 1. `noise_factor` multiplies the noise; it is above 1 after a rejected fit.
+    the prior (factor on its sigmas) is then always estimated. With a prior from earlier calibrations
+    (`has_history_prior`) all parameters are applied, and the scale is at least 1. `noise_factor` multiplies the noise;
+    it is above 1 after a rejected fit.
     """
     prior = adjustment.problem.prior
     held, mean = prior.is_fixed.ravel(), prior.mean.ravel()
@@ -123,6 +124,7 @@ class ScaledPrior:
     Parameters
     ----------
     information : (parameters, parameters) float
+        Information matrix of the readings in inverse prior variances.
     information_vector : (parameters,) float
         Information matrix times the estimate from the readings alone.
     min_scale : float
@@ -191,7 +193,7 @@ class ScaledPrior:
 
     @property
     def scale_sentence(self) -> str:
-        """Sentence for users on the scale of the prior; empty unless it was estimated or the scale 1 rejected."""
+        """Sentence for users on the scale of the prior (factor on its sigmas); empty if the scale is 1 by default."""
         if not (self.rejects_declared_scale or self._is_scale_estimated):
             return ""
         low, high = self.plausible_scale_limits
@@ -299,7 +301,7 @@ class HeldOutTarget:
     parameter_covariance: Floats
     """Covariance of the instrument parameters estimated without this target, shape (parameters, parameters)."""
     estimate_shift: Floats
-    """Estimates of the parameters from all targets minus estimates without this target, shape (parameters,)."""
+    """Estimates of the parameters from all targets minus estimates without this target, shape (parameters,) [SI]."""
 
     def sum_of_squares(self, parameters: Floats, fixed_indices: Ints) -> float:
         """Sum of squared held-out residuals if the parameters with the indices `fixed_indices` are zero.
@@ -356,7 +358,7 @@ def _informative_parameter_groups(adjustment: Adjustment) -> list[Ints]:
 def held_out_targets(adjustment: Adjustment) -> list[HeldOutTarget]:
     """Predictions of every target that has redundant readings and whose coordinates can be eliminated.
 
-    The declared coordinates of a target are held out with its readings and predicted too.
+    The declared coordinates of a target are held out and predicted together with its readings.
     """
     problem, unknowns = adjustment.problem, adjustment.problem.unknowns
     system, n_retained = adjustment.solution.system, adjustment.problem.unknowns.n_retained

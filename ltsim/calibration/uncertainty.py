@@ -21,7 +21,7 @@ class UncertaintyEntry(Entry):
     noise_text: str = ""
     """Text for users on the standard deviations of the readings in the fit, and on their source."""
     constants_included: bool = True
-    """True if the instrument constants were estimated, or the set-up declares the instrument corrected, so that the
+    """True if the instrument constants were estimated, or `setup.toml` declares the instrument corrected, so that the
     standard deviations include them."""
     uncertainty_factor: Positive = 1.0
     """Factor that all standard deviations contain: sigma0 if the readings contradict the model, otherwise 1."""
@@ -65,7 +65,7 @@ def uncertainty_sentences(result: ReportedUncertainty) -> list[str]:
     if result.air_text:
         sentences.append(
             f"The standard deviations of targets and stations include the {result.air_text}. Change these values in "
-            "the table [air] of the set-up."
+            "the table [air] of setup.toml."
         )
     if result.hidden_errors:
         sizes = "; ".join(

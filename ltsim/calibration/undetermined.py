@@ -22,8 +22,8 @@ def undetermined_entries(
 ) -> tuple[UndeterminedEntry, ...]:
     """Entries of the undetermined combinations of all instruments.
 
-    With `recommend_measurements` the entries name measurements that would determine the combinations. Proposed lengths
-    do not end at `suspect_targets`.
+    With `recommend_measurements` the entries name measurements that would determine the combinations. Targets in
+    `suspect_targets`, which may have moved, are not used as ends of a proposed length.
     """
     instruments = adjustment.recording.instruments
     measurements = [[MeasurementForCombination()] * len(group) for group in undetermined_by_instrument]

@@ -59,13 +59,14 @@ def calibrate(
     ----------
     recording : Recording, str or Path
     method : {`network`, `distance`, `distance-l1`, `equation-9`, `equation-9-l1`}
-        Rigorous network adjustment (`network`); minimum of the paper's distance objective over the determined
-        combinations of parameters, by least squares (`distance`) or least absolute deviations (`distance-l1`); or its
-        minimum over all parameters, which fits undetermined combinations to the noise (`equation-9`, `equation-9-l1`).
+        Rigorous network adjustment (`network`); or agreement of distances between targets as measured from several
+        stations (Sensors 2021, 21, 7479), for the determined combinations of parameters, by least squares (`distance`)
+        or least absolute deviations (`distance-l1`); or for all parameters, which fits undetermined combinations to the
+        noise (`equation-9`, `equation-9-l1`).
     construction : {`misalignment`, `dh`, `steering-mirror`} or GeometricErrorModel, optional
         Misalignments with the source in the head (`misalignment`, 16 parameters) or with a steering mirror
-        (`steering-mirror`, 21), or the paper's Denavit-Hartenberg chain (`dh`, 78); default: the model
-        declared in the set-up.
+        (`steering-mirror`, 21), or the Denavit-Hartenberg chain of Sensors 2021, 21, 7479 (`dh`, 78); default: the
+        model declared in `setup.toml`.
     robust, noise_from_data, datum
         Options of `adjust`, for method `network` only.
     parameters : str or sequence of str, optional
@@ -76,8 +77,8 @@ def calibrate(
     hold : mapping of str to float, optional
         Parameters that are fixed at a value, each in its unit; several can be given.
     prior : Calibration, History, str or Path, optional
-        Estimates of earlier calibrations with their covariance, in place of the prior of the set-up. With `none` there
-        is no prior, and the readings alone determine the shrinkage of the correction. For method `network` only.
+        Estimates of earlier calibrations with their covariance, in place of the prior in `setup.toml`. The value `none`
+        means no prior: the readings alone determine how far the correction is shrunk. For method `network` only.
     harmonics : int, optional
         Order of the harmonics in the errors of the axes of a D-H chain, 0 to 4; default 2.
     degree : int, optional
@@ -85,9 +86,10 @@ def calibrate(
     box : float, optional
         Bound on every parameter in prior sigmas, with the methods `equation-9` and `equation-9-l1`.
     with_effects : str, Effect or sequence of them
-        Effects of the catalogue that are also estimated, `NAME` or `NAME:WHERE,...` with stations, targets, and shape
-        parameters such as `law=visit` in the effect's units; the readings determine those not given. Laws have the
-        form that a diagnosis reports, `vertical index ~ time:S3`. Several can be given. For method `network` only.
+        Physical effects that are also estimated: `NAME` (from `ltsim effects`) or `NAME:WHERE,...` with stations,
+        targets, and shape parameters such as `law=visit` in the effect's units; the readings determine those not given.
+        Empirical laws, which describe changes of the readings by functions such as `vertical index ~ time:S3`, are
+        given as a diagnosis reports them. Several can be given. For method `network` only.
     advise : bool
         True to report the further measurements that would determine the undetermined combinations.
 
@@ -171,7 +173,7 @@ def parse_requested_effect(effect_or_text: str | Effect | SizedEffect, recording
 
 
 def _parse_effect_text(text: str, recording: Recording) -> RequestedEffect:
-    """Requested effect from a text: `NAME` or `NAME:WHERE,...` with stations, targets, shape parameters, or a law."""
+    """Requested effect from a text: an empirical law, or `NAME:WHERE,...` with stations, targets, shape parameters."""
     name, _, rest = text.partition(":")
     carrier, is_law, driver = name.partition("~")
     places: dict[str, tuple[str, ...]] = {"stations": (), "targets": ()}
@@ -190,7 +192,7 @@ def _parse_effect_text(text: str, recording: Recording) -> RequestedEffect:
             raise ModelError(f"'{text}': '{item}' is not a station ({listed}), a target or NAME=VALUE")
     if is_law and constants:
         raise ModelError(
-            f"'{text}': the shape parameters of a law belong in the text of the law and cannot be given separately"
+            f"'{text}': the shape parameters of an empirical law belong in its text and cannot be given separately"
         )
     if is_law:
         return RequestedEffect(parse_law(carrier.strip(), driver.strip(), recording, **places))
@@ -199,7 +201,10 @@ def _parse_effect_text(text: str, recording: Recording) -> RequestedEffect:
 
 
 def _named_construction(name: str | None, harmonics: int | None, degree: int | None) -> GeometricErrorModel | None:
-    """Geometric error model with the given name; None for the model that the set-up declares."""
+    """Geometric error model with the given name; None for the model that `setup.toml` declares.
+
+    `harmonics` and `degree` are options of the model `dh`.
+    """
     if name is not None:
         return construction_called(name, harmonics, degree)
     if harmonics is not None or degree is not None:
@@ -214,7 +219,7 @@ def evaluate(recording: RecordingSource, calibration: CalibrationSource | None =
     ----------
     recording : Recording, str or Path
     calibration : Calibration, str or Path, optional
-        Calibration that is applied for the values after calibration; default none.
+        Calibration that is applied for the values after calibration; by default there are no such values.
 
     Raises
     ------
@@ -242,7 +247,7 @@ def evaluate(recording: RecordingSource, calibration: CalibrationSource | None =
 
 
 def verify(recording: RecordingSource, nominal: str | Path, calibration: CalibrationSource) -> Criteria:
-    """Errors of another recording relative to nominal points, before and after a calibration.
+    """Errors of a recording of points with nominal coordinates, before and after a calibration.
 
     Parameters
     ----------
@@ -315,7 +320,7 @@ def history(
 def _load_labelled(
     label: str, source: RecordingSource | Calibration, options: dict[str, Any]
 ) -> tuple[str, Calibration]:
-    """Label and calibration of a source; the label of a file is the name of the file."""
+    """Label and calibration of a source, with `options` of `calibrate`; the label of a file is its name."""
     if isinstance(source, Calibration):
         return label, source
     if isinstance(source, Recording):

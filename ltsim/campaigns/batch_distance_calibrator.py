@@ -36,10 +36,10 @@ from ltsim.geometry.polar import wrap_angle
 from ltsim.solve.least_absolute import solve_least_absolute
 
 MAX_DISTANCE_FIT_STEPS = 10
-"""Largest number of Gauss-Newton steps for the distance objective of a trial."""
+"""Largest number of Gauss-Newton steps per trial in a calibration by distances between targets."""
 MAX_WEAK_COMBINATION_FIT_STEPS = 30
-"""Largest number of Gauss-Newton steps for a trial in which weakly determined combinations of parameters are estimated
-too."""
+"""Largest number of Gauss-Newton steps per trial in a calibration by distances that also estimates weakly determined
+combinations of parameters."""
 MAX_LAST_STEP_AT_CONVERGENCE = 3e-5
 """Largest change of an unknown in the last step, in prior standard deviations, at which a trial counts as converged.
 The remaining error is about a hundredth of this change.
@@ -48,14 +48,16 @@ The remaining error is about a hundredth of this change.
 
 @dataclass(frozen=True)
 class BatchDistanceCalibrator(BatchCalibrator):
-    """Batch calibration by the distance objective (Sensors 2021, 21, 7479): methods `distance` and `equation-9`.
+    """Batch calibration by distances between targets: methods `distance` and `equation-9`.
 
-    The unknowns are the parameters of all instruments. Methods whose name ends in `-l1` minimise absolute deviations,
-    all others minimise squares.
+    The distance objective of Sensors 2021, 21, 7479 is minimised: a sum over the disagreements of distances that
+    several stations measured, and over their errors at reference lengths. The unknowns are the parameters of all
+    instruments. Methods whose name ends in `-l1` minimise absolute deviations, all others minimise squares.
     """
 
     method: str = "distance"
-    """Name of the method in the campaign file: `distance` or `equation-9`, with or without `-l1`."""
+    """Name of the calibration method in the campaign file: `distance` or `equation-9`; a name that ends in `-l1`
+    selects least absolute deviations instead of least squares."""
 
     @property
     def uses_absolute_deviations(self) -> bool:
@@ -64,7 +66,7 @@ class BatchDistanceCalibrator(BatchCalibrator):
 
     @property
     def estimates_all_combinations(self) -> bool:
-        """True if all combinations of parameters that change the objective are estimated, even weakly known ones."""
+        """True if even weakly determined combinations of parameters are estimated (Sensors 2021, 21, 7479, eq. 9)."""
         return self.method.startswith("equation-9")
 
     @cached_property
@@ -117,7 +119,7 @@ class BatchDistanceCalibrator(BatchCalibrator):
 
     @cached_property
     def _pair_difference_comparisons(self) -> DistanceComparisons:
-        """Differences of each distance between two stations, or from the gauge, at the nominal parameters."""
+        """Differences of a target distance measured from two stations, or from a reference length, at zero errors."""
         return pair_difference_comparisons(self.distance_problem, self._nominal_distances)
 
     @property
@@ -127,7 +129,7 @@ class BatchDistanceCalibrator(BatchCalibrator):
 
     @cached_property
     def _distance_objective_arrays(self) -> tuple[Ints, Bools, Floats, Ints]:
-        """Arrays for the objective: set and weight of each pointing, mask of the targets of each set, gauge pairs.
+        """Set of each pointing, mask of the targets of each set, weight of each pointing, and gauge pairs.
 
         A set contains the pointings of one station in one face. The weight of a pointing is its share in the mean point
         of its set and target. A gauge pair holds the indices of two targets with a reference length. The arrays are

@@ -9,8 +9,8 @@ from ltsim.core.arrays import Bools, Floats
 
 MAX_DISTANCE_TO_OPTIMUM = 5e-5
 """Largest distance to the optimum at which a trial counts as converged. The distance is the norm of the remaining step,
-with each unknown divided by its standard deviation. A trial with a larger distance is solved again by the full solver.
-"""
+with each unknown divided by its standard deviation. A trial with a larger distance is calibrated again by
+`lt.calibrate`."""
 
 
 @dataclass(frozen=True)

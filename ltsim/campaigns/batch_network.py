@@ -56,7 +56,7 @@ class BatchNetwork(NominalNetwork):
 
     @cached_property
     def _bench_tested_reflector_change(self) -> Floats | None:
-        """Expected change (pointings, 3, 1) of readings by reflectors with a bench test; None without any."""
+        """Expected change (pointings, 3, 1) [m, rad, rad] of readings by bench-tested reflectors; None without any."""
         if not any(
             isinstance(error, IncidenceErrors) and error.mean_parameters.any() for error in self.model.nuisance_errors
         ):
@@ -68,8 +68,8 @@ class BatchNetwork(NominalNetwork):
     def fit_trials(self, reading_deviations: Floats, length_errors: Floats | None = None) -> BatchFit:
         """Adjusted network of each trial.
 
-        `reading_deviations` (pointings, 3, trials) are readings minus nominal readings. `length_errors` (lengths,
-        trials) [m] are declared minus true reference lengths; None without reference lengths.
+        `reading_deviations` (pointings, 3, trials) [m, rad, rad] are readings minus nominal readings. `length_errors`
+        (lengths, trials) [m] are declared minus true reference lengths; None without reference lengths.
         """
         if self._bench_tested_reflector_change is not None:
             reading_deviations = reading_deviations - self._bench_tested_reflector_change
@@ -102,8 +102,8 @@ class BatchNetwork(NominalNetwork):
         """Indices of the readings that effects change, and the design matrix of the effects, plain and whitened.
 
         Nuisance errors that the recording declares count as effects. The indices (affected readings,) refer to the
-        flattened readings. The designs have the shape (affected readings, effect parameters), after an axis of trials
-        for separate geometries.
+        flattened readings. The designs have the shape (affected readings, effect parameters), or (trials, affected
+        readings, effect parameters) if each trial has a separate geometry.
         """
         flattened = self._additional_parameter_design.reshape(self.reading_sigmas.size, -1)
         indices = np.flatnonzero(flattened.any(axis=1))
@@ -129,7 +129,11 @@ class BatchNetwork(NominalNetwork):
         return by_reading, self.covariance @ self._non_reading_design[0].T, predicting
 
     def _first_step(self, reading_deviations: Floats, length_errors: Floats | None) -> tuple[Floats, Floats]:
-        """First step (unknowns, trials), and predicted minus nominal readings (pointings, 3, trials) after it."""
+        """First step (unknowns, trials), and predicted minus nominal readings (pointings, 3, trials) after it.
+
+        `reading_deviations` are readings minus nominal readings, `length_errors` (lengths, trials) [m] declared minus
+        true reference lengths.
+        """
         nowhere = np.zeros((self.block_end_indices[-1], reading_deviations.shape[2]))
         other_residuals = self._non_reading_residuals(nowhere, length_errors)
         if self._factorisation.sparse_design is not None:
@@ -141,9 +145,10 @@ class BatchNetwork(NominalNetwork):
     def _sparse_first_step(
         self, design: sp.csr_array, reading_deviations: Floats, other_residuals: Floats
     ) -> tuple[Floats, Floats]:
-        """Result of `_first_step` for a network with the sparse whitened `design` (rows, unknowns) of all observations.
+        """First step (unknowns, trials), and predicted minus nominal readings (pointings, 3, trials) after it.
 
-        `other_residuals` (rows, trials) are the whitened residuals of the observations except readings.
+        The network has the sparse whitened `design` (rows, unknowns) of all observations. `other_residuals` (rows,
+        trials) are the whitened residuals of the observations except readings.
         """
         use, order = self.problem.is_used_reading, self.column_order
         sigma = self.problem.reading_sigmas[use][:, None]

@@ -68,7 +68,7 @@ class HeldOutPointErrors(Result):
 def _may_be_same_recording(readings: Floats, other_readings: Floats) -> bool:
     """True if two arrays of readings [m, rad] may come from the same recording.
 
-    They may differ by rounding in files, and by readings that an adjustment excluded.
+    Arrays of the same recording may differ by rounding in files, and by readings that an adjustment excluded.
     """
     return readings.shape != other_readings.shape or not np.any(
         np.abs(readings - other_readings) > MAX_EQUAL_READING_DIFFERENCE
@@ -107,7 +107,8 @@ def compare_calibrations(
     Raises
     ------
     InputError
-        If the scenario does not exist, its stations name other trackers, or a calibration belongs to another recording.
+        If a scenario does not exist, the stations of `validation_scenario` name other trackers than the recording, or a
+        calibration belongs to another recording.
 
     Examples
     --------

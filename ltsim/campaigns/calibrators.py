@@ -1,4 +1,4 @@
-"""Calibrators of the methods in a campaign file, for trials in one network geometry and in separate geometries.
+"""Calibrators for the calibration methods of a campaign, for trials with one network geometry or separate ones.
 
 Trials with separate geometries whose stations see the same targets form a stack. The last axis of the geometry arrays
 of a stack is the trial, as for all other arrays of a campaign. Exact readings, residuals, gradients, points and
@@ -129,7 +129,7 @@ class GeometryStack(TrueNetwork):
     ) -> tuple[ChainArrays, Floats]:
         """Kinematic chain of all trials, and derivative of the readings by the instrument parameters.
 
-        The derivative has the shape (pointings, 3, parameters, trials).
+        `construction` is the geometric error model. The derivative has the shape (pointings, 3, parameters, trials).
         """
         flattened = np.swapaxes(self.nominal_readings, 1, 2).reshape(-1, 3)
         by_value = construction.reading_design(flattened, np.zeros(construction.n_parameters))[1]
@@ -149,7 +149,7 @@ class GeometryStack(TrueNetwork):
         return deviation
 
     def draw_numbered_trials(self, seed: int, trial_numbers: Ints) -> TrialBatch:
-        """Batch of the trials `trial_numbers`, one for each geometry of the stack, with their drawn random values."""
+        """Batch of the trials `trial_numbers`, one for each geometry of the stack, with values drawn with `seed`."""
         sources = StandardNormalSource(seed, trial_numbers).single_trial_sources()
         draws = [
             true_network.distributions.draw(numbers_of_trial)
@@ -237,7 +237,7 @@ class StackCalibrator(TrialCalibrator):
         return calibrated
 
     def _calibrate_batch(self, trial_batch: TrialBatch, calibrated_batch: CalibratedBatch) -> Ints:
-        """Indices of the trials that the calibration of all trials together did not solve.
+        """Indices of the trials whose joint calibration did not converge.
 
         The estimates of the solved trials are written to `calibrated_batch`.
         """
@@ -281,7 +281,7 @@ class StackCalibrator(TrialCalibrator):
         return np.flatnonzero(is_doubtful)
 
     def largest_solver_difference(self, trial_batch: TrialBatch, trial: int, results: CalibratedBatch) -> float:
-        """Largest difference between `results` of a trial and the full solver, in standard deviations."""
+        """Largest difference between the `results` of a trial and `lt.calibrate`, in standard deviations."""
         trial_slice = slice(trial, trial + 1)
         arrays = (
             results.instrument_values[..., trial_slice],
@@ -333,7 +333,7 @@ class StackedNetwork(BatchNetwork):
 
     @cached_property
     def _bench_tested_reflector_change(self) -> Floats | None:
-        """Expected change (pointings, 3, trials) of readings by reflectors with a bench test; None without any."""
+        """Expected change (pointings, 3, trials) [m, rad, rad] of readings by bench-tested reflectors, or None."""
         shifts = [shift for part in self.trial_networks if (shift := part._bench_tested_reflector_change) is not None]
         return np.concatenate(shifts, axis=-1) if shifts else None
 
@@ -357,7 +357,11 @@ class StackedNetwork(BatchNetwork):
         return np.stack(designs), np.concatenate(nominal, axis=1)
 
     def _first_step(self, reading_deviations: Floats, length_errors: Floats | None) -> tuple[Floats, Floats]:
-        """First step (unknowns, trials), and predicted minus nominal readings (pointings, 3, trials) after it."""
+        """First step (unknowns, trials), and predicted minus nominal readings (pointings, 3, trials) after it.
+
+        `reading_deviations` are readings minus nominal readings, `length_errors` (lengths, trials) [m] declared minus
+        true reference lengths.
+        """
         x, predicted = (
             np.zeros((self.block_end_indices[-1], reading_deviations.shape[2])),
             np.zeros_like(reading_deviations),

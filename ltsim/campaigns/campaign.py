@@ -21,6 +21,7 @@ import llvmlite.binding
 from joblib import Parallel, delayed, parallel_config
 
 from ltsim.campaigns.calibrators import estimated_effects, estimated_error_model
+from ltsim.campaigns.cell_scenarios import shared_json_values
 from ltsim.campaigns.design import Factor, cell_label
 from ltsim.campaigns.schema import ManifestFile, ScenarioSettings, number_of_shards
 from ltsim.campaigns.shard_rows import ShardTask, load_cell_context, n_rows_of_shard, run_shard_task
@@ -110,11 +111,11 @@ def run_campaign(
     loaded: tuple[CampaignFile, tuple[Scenario, ...]] | None = None,
     progress: ProgressCallback = lambda trials: None,
 ) -> CampaignRunResult:
-    """Run, continuation or extension of a campaign in `folder`, as by `ltsim.campaign` but with a choice of workers.
+    """Run, continuation or extension (`resume`), or restart (`force`) of a campaign in `folder`.
 
     `tables`, if given, replaces the content of the campaign file `file`. `changes` are new values of its keys. `loaded`
-    is the result of `load_campaign` for these arguments, if the caller has it.
-    `progress` is called with the number of rows (trials times methods) that were finished since the last call.
+    is the result of `load_campaign` for these arguments, if the caller has it. `progress` is called with the number of
+    rows (trials times methods) that were finished since the last call.
     """
     with reraise_as_input_error():
         check_writable(folder, is_folder=True)
@@ -206,10 +207,10 @@ def _configuration_notes(
 def _extended_campaign(
     store: CampaignFolder, campaign: CampaignFile, cells: tuple[CampaignCell, ...], file: Path, *, resume: bool
 ) -> tuple[CampaignFile, tuple[CampaignCell, ...]]:
-    """Content and cells of a campaign in a folder, after the additions of the campaign file.
+    """Content and cells of a campaign in a folder, with the additions in the campaign file.
 
     Existing cells (combinations of factor levels) keep their numbers. InputError is raised if the file would change
-    existing rows.
+    existing rows, or if `resume` is false.
     """
     if not resume:
         raise InputError(
@@ -317,9 +318,7 @@ def _make_manifest(campaign: CampaignFile, factors: Sequence[Factor], cells: Seq
         processor=processor_type(),
         commit=git_commit_of_checkout(),
         settings=campaign.model_dump(mode="json", by_alias=True),
-        scenarios=tuple(
-            ScenarioSettings.model_validate(cell.scenario.model_dump(mode="json", by_alias=True)) for cell in cells
-        ),
+        scenarios=tuple(map(ScenarioSettings.model_validate, shared_json_values(cell.scenario for cell in cells))),
     )
 
 

@@ -3,8 +3,9 @@
 Thousands of scenarios that differ in a few values thus take little memory.
 """
 
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from pydantic import BaseModel
 
@@ -37,6 +38,21 @@ def with_shared_values(model: ModelType, base: ModelType) -> ModelType:
                 for key, entry in value.items()
             }
     return model.model_copy(update=shared_values)
+
+
+def shared_json_values(scenarios: Iterable[BaseModel]) -> Iterator[dict[str, Any]]:
+    """JSON values of scenarios, one after the other; equal parts of different scenarios are the same object."""
+    part_by_text: dict[str, Any] = {}
+
+    def shared_value(value: Any) -> Any:
+        if isinstance(value, dict):
+            value = {key: shared_value(part) for key, part in value.items()}
+        elif isinstance(value, list):
+            value = [shared_value(part) for part in value]
+        return part_by_text.setdefault(repr(value), value)
+
+    for scenario in scenarios:
+        yield {key: shared_value(part) for key, part in scenario.model_dump(mode="json", by_alias=True).items()}
 
 
 def require_small_manifest(scenario: Scenario, n_cells: int, path: Path) -> None:

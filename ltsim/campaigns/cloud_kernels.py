@@ -13,7 +13,7 @@ from ltsim.core.arrays import Bools, Floats, Ints
 N_ROTATION_NEWTON_STEPS = 3
 """Number of Newton steps for the rotation of a rigid fit, which starts near its result."""
 MICROMETRES_PER_METRE = 1e6
-"""Number of micrometres in a metre, for criteria in um."""
+"""Number of micrometres in a metre, for disagreements of stations in um."""
 
 
 @compile_function
@@ -314,10 +314,13 @@ def distance_gradient(
 ) -> None:
     """Half of the derivative of the distance objective by the points, added to `point_gradient`.
 
-    `clouds` (sets, targets, 3, trials) [m] are the mean points of each target in each set of pointings (one station and
-    face); `point_gradient` has the same shape. `is_visible` (sets, targets) is the mask of the measured targets.
-    `gauge_lengths` (lengths, trials) [m] are the reference lengths between the pairs of targets `gauge_pairs` (lengths,
-    2). The value of the objective is added to `cost` (trials,).
+    The objective is the sum of the squared differences between the distances of a pair of targets in two sets of
+    pointings (one station and face each), and between each distance and its reference length.
+
+    `clouds` (sets, targets, 3, trials) [m] are the mean points of each target in each set; `point_gradient` has the
+    same shape. `is_visible` (sets, targets) is the mask of the measured targets. `gauge_lengths` (lengths, trials) [m]
+    are the reference lengths between the pairs of targets `gauge_pairs` (lengths, 2). The value of the objective is
+    added to `cost` (trials,).
     """
     sets, targets, _, trials = clouds.shape
     lengths, middle = np.empty((sets, trials)), np.empty(trials)

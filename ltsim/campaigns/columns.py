@@ -113,7 +113,7 @@ def append_factor_levels(
 
 
 def method_table(cell: int, method: str, column_groups: list[ResultColumns]) -> pa.Table:
-    """Table of the results of a method in the cell (combination of factor levels) number `cell`.
+    """Table of the results of a calibration method in the cell (combination of factor levels) number `cell`.
 
     The rows of `column_groups` (one group per batch of trials) follow each other. Numbers are stored in single
     precision; a value that does not exist is empty.

@@ -47,9 +47,10 @@ def compile_function(function: Callable[..., ReturnType]) -> Callable[..., Retur
 
 
 def _discard_unreadable_cache(function: Callable[..., object]) -> None:
-    """Removal of cached machine code of a function if its index cannot be read, such as that of another version.
+    """Removal of the cached machine code of a function if the index of the cache cannot be read.
 
-    Numba compares the date of the source only after it has read the index, which names modules of that version.
+    This occurs after a change of the version of Numba or ltsim: the index names modules of the old version, and Numba
+    reads it before it compares the date of the source.
     """
     cache: Any = FunctionCache(function)  # type: ignore[no-untyped-call]
     try:

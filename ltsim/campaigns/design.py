@@ -45,7 +45,7 @@ class ScenarioKeyRange(TomlSection):
     @model_validator(mode="after")
     def _check_limits_ascend(self) -> Self:
         if self.low >= self.high or (self.scale == "log" and self.low <= 0):
-            raise ValueError("it should have low below high, and low above 0 for a log scale")
+            raise ValueError("low should be below high, and above 0 for scale = 'log'")
         return self
 
     def values_at(self, fractions: Floats, *, is_integer: bool) -> list[float]:
@@ -66,13 +66,14 @@ class SpaceFillingDesign(TomlSection):
     cell_count: Annotated[int, Field(ge=2)]
     """Number of design points, each a combination of factor levels (cell); a power of two for a Sobol sequence."""
     ranges: Annotated[dict[str, ScenarioKeyRange], Field(min_length=1, max_length=MAX_DESIGN_KEYS)]
-    """Range of each key, by dotted key or by a name in `[linked_keys]`: tables `[design.ranges.KEY]`."""
+    """Range of each key, tables `[design.ranges.KEY]`. KEY is a dotted key of the scenario, or the name of a group of
+    keys with equal values in the table `[linked_keys]`."""
 
     @model_validator(mode="after")
     def _check_balance(self) -> Self:
         if self.kind == "sobol" and self.cell_count & (self.cell_count - 1):
             near = 2 ** round(float(np.log2(self.cell_count)))
-            raise ValueError(f"it should have a power of two as cell_count for a Sobol sequence, such as {near}")
+            raise ValueError(f"cell_count should be a power of two for a Sobol sequence, such as {near}")
         return self
 
     def points(self, seed: int, keys: Mapping[str, str]) -> list[dict[str, Any]]:
@@ -125,7 +126,7 @@ class Factor(Entry):
 
 
 def short_key_names(keys: Sequence[str]) -> dict[str, str]:
-    """Shortest ending of each dotted key that differs from all other keys and from reserved columns, by key."""
+    """Short name of each dotted key: its shortest ending that no other key and no reserved column has."""
     depth = dict.fromkeys(keys, 1)
     while True:
         names = {key: "_".join(key.split(".")[-depth[key] :]) for key in keys}

@@ -53,10 +53,10 @@ def inject(
     recording : Recording, str or Path
         Measured or simulated recording.
     *causes : str or Effect
-        Effects of the catalogue, ``EFFECT`` or ``EFFECT:WHERE,...``, or laws as for `calibrate` (``RESPONSE ~
-        REGRESSOR``). WHERE lists stations, targets, and values of shape parameters and other parameters in their units
-        (``range-step:S3,range-step=30``). A law has ``size=VALUE`` (rms change, um or urad). Everything that is not
-        given is drawn. Vectors are in the axes of the recording's adjustment.
+        Effects that ltsim models, ``EFFECT`` or ``EFFECT:WHERE,...``, or formulas ``RESPONSE ~ REGRESSOR`` as for
+        `calibrate`. WHERE lists stations, targets, and values of shape parameters and other parameters in their units
+        (``range-step:S3,range-step=30``). A formula has ``size=VALUE`` (rms change of RESPONSE, um or urad).
+        Everything that is not given is drawn. Vectors are in the axes of the recording's adjustment.
     noncentrality : float, optional
         Noncentrality to which each effect is scaled: weighted sum of squares of the part of the effect that remains in
         the residuals. By default the effects are not scaled.
@@ -85,7 +85,7 @@ def inject(
     check_argument_bounds(seed=seed, noncentrality=noncentrality, required_argument="seed")
     if not causes:
         raise ModelError(
-            "nothing to inject: name an effect (ltsim effects lists them) or a law such as 'azimuth ~ time'"
+            "nothing to inject: name an effect (ltsim effects lists them) or a formula such as 'azimuth ~ time'"
         )
     for cause in causes:
         if isinstance(cause, (list, tuple)):
@@ -120,8 +120,10 @@ def injection_curve(
     Parameters
     ----------
     recording : Recording, str or Path
+        Measured or simulated recording.
     cause : str
-        Effect or law, as for `inject`. Values that are not given, such as the station, are drawn for each injection.
+        Effect or formula, as for `inject`. Values that are not given, such as the station, are drawn for each
+        injection.
     strengths : sequence of float
         Noncentralities of the injections.
     injections : int
@@ -184,7 +186,7 @@ def compare_with_injection(
 
 
 def _finding_key(finding: Any) -> tuple[Any, ...]:
-    """Effect, stations, targets and observables of a finding, which identify equal findings of two diagnoses."""
+    """Effect, stations, targets and observables of a finding, as a key by which findings are compared."""
     scope = finding.where
     return finding.effect, tuple(scope.stations), tuple(scope.targets), tuple(scope.observables)
 

@@ -43,7 +43,11 @@ def _rotate_by_small_vector(u: float, v: float, w: float, x: float, y: float, z:
 def _motion_amounts(
     pointing: int, chain: ChainArrays, deviation: Floats, parameter_values: Floats, amounts: Floats
 ) -> None:
-    """Amounts of the chain's motions minus nominal amounts [m, rad], written to `amounts` (motions, trials)."""
+    """Angle or length of each motion of the kinematic chain minus its nominal value, written to `amounts`.
+
+    `amounts` (motions, trials) [rad, m] belongs to one pointing. `deviation` (3, trials) are its readings minus nominal
+    readings, `parameter_values` (parameters, trials) [SI] the instrument parameters.
+    """
     _, _, sign, reading_indices, _, parameter_offsets, parameter_indices, depends_on_readings, basis, slope = chain
     n_trials = amounts.shape[1]
     for m in range(len(reading_indices)):
@@ -79,7 +83,10 @@ def _motion_amounts(
 
 @compile_function
 def _forward_chain(pointing: int, chain: ChainArrays, amounts: Floats, path: Floats) -> None:
-    """Measured point [m] in the frame before each motion of the chain, written to `path` (motions + 1, 3, trials)."""
+    """Measured point [m] in the frame before each motion of the chain, written to `path` (motions + 1, 3, trials).
+
+    `amounts` (motions, trials) are the angle [rad] or length [m] of each motion minus its nominal value.
+    """
     is_rotation, axis, _, _, amount, _, _, _, _, _ = chain
     n_trials = amounts.shape[1]
     n_motions = len(is_rotation)
@@ -118,7 +125,12 @@ def _backpropagate(
     moment: Floats,
     gradient: Floats,
 ) -> None:
-    """Product of the point gradient `point_grad` and the derivative by each parameter, subtracted from `gradient`."""
+    """Product of the point gradient `point_grad` and the derivative by each parameter, subtracted from `gradient`.
+
+    `point_grad` (3, trials) is the derivative of an objective by the measured point of one pointing; it is changed in
+    place. `amounts` and `path` are the results of `_motion_amounts` and `_forward_chain`; `moment` is memory for
+    intermediate results.
+    """
     is_rotation, axis, sign, _, amount, parameter_offsets, parameter_indices, depends_on_readings, basis, slope = chain
     n_trials = amounts.shape[1]
     for m in range(len(is_rotation)):
@@ -162,7 +174,11 @@ def _backpropagate(
 
 @compile_function
 def compute_points(chain: ChainArrays, instrument: Ints, deviation: Floats, values: Floats, points: Floats) -> None:
-    """Points (pointings, 3, trials) [m] in instrument frames, from reading deviations, written to `points`."""
+    """Measured points (pointings, 3, trials) [m] in instrument frames, written to `points`.
+
+    `deviation` (pointings, 3, trials) are readings minus nominal readings, `values` (instruments, parameters, trials)
+    [SI] the instrument parameters.
+    """
     motions, trials = len(chain[0]), deviation.shape[2]
     amounts, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
     for i in range(len(deviation)):
@@ -216,20 +232,15 @@ def compute_readings(
 
 @compile_function
 def backpropagate_mean_gradients(
-    chain: ChainArrays,
-    instrument: Ints,
-    station_face_indices: Ints,
-    target: Ints,
-    mean_weights: Floats,
-    deviation: Floats,
-    parameter_values: Floats,
-    mean_gradients: Floats,
-    parameter_gradient: Floats,
-) -> None:
+    chain: ChainArrays, instrument: Ints, station_face_indices: Ints, target: Ints, mean_weights: Floats,
+    deviation: Floats, parameter_values: Floats, mean_gradients: Floats, parameter_gradient: Floats
+) -> None:  # fmt: skip
     """Negative gradient of an objective by the instrument parameters, added to `parameter_gradient`.
 
     `mean_gradients` (sets, targets, 3, trials) is the derivative by the mean point of each set (one station and face)
-    and target. `mean_weights` (pointings,) are the weights of the pointings in these mean points.
+    and target. `mean_weights` (pointings,) are the weights of the pointings in these mean points,
+    `station_face_indices` (pointings,) their sets. `deviation` (pointings, 3, trials) are readings minus nominal
+    readings.
     """
     motions, trials = len(chain[0]), deviation.shape[2]
     amounts, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
@@ -246,25 +257,11 @@ def backpropagate_mean_gradients(
 
 @compile_function
 def network_gradient(
-    chain: ChainArrays,
-    instrument: Ints,
-    station: Ints,
-    target: Ints,
-    station_to_target: Floats,
-    rotation: Floats,
-    point_derivatives: Floats,
-    weight: Floats,
-    deviation: Floats,
-    pose: Floats,
-    points: Floats,
-    values: Floats,
-    predicted: Floats,
-    residual: Floats,
-    pose_gradient: Floats,
-    target_gradient: Floats,
-    parameter_gradient: Floats,
-    cost: Floats,
-) -> None:
+    chain: ChainArrays, instrument: Ints, station: Ints, target: Ints, station_to_target: Floats, rotation: Floats,
+    point_derivatives: Floats, weight: Floats, deviation: Floats, pose: Floats, points: Floats, values: Floats,
+    predicted: Floats, residual: Floats, pose_gradient: Floats, target_gradient: Floats, parameter_gradient: Floats,
+    cost: Floats
+) -> None:  # fmt: skip
     """Whitened residuals (pointings, 3, trials) of readings, and negative gradients of half their sum of squares.
 
     The negative gradient is the right side of the normal equations. The chain is evaluated at the *predicted* readings,
@@ -298,9 +295,11 @@ def network_gradient(
 def _station_to_target(
     station_to_target: Floats, rotation: Floats, pose: Floats, point: Floats, predicted: Floats, work_rows: Floats
 ) -> None:
-    """Vector from station to target in the network frame, and its difference from the measured vector.
+    """Vector from station to target, and its difference from the point `predicted` that the predicted readings give.
 
-    They are written to rows 0 to 2 and 3 to 5 of `work_rows`. A loop over few rows is compiled to vector instructions.
+    The vector [m] is written to rows 0 to 2 of `work_rows` in the network frame, the difference to rows 3 to 5 in the
+    instrument frame. `pose` (6, trials) and `point` (3, trials) are unknowns minus nominal values, `station_to_target`
+    (3,) and `rotation` (3, 3) nominal values. Few rows are compiled to vector instructions.
     """
     r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
     r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
@@ -325,18 +324,14 @@ def _station_to_target(
 
 @compile_function
 def _target_gradient(
-    point_derivatives: Floats,
-    weight: Floats,
-    work_rows: Floats,
-    observed: Floats,
-    predicted: Floats,
-    residual: Floats,
-    point_grad: Floats,
-    cost: Floats,
-) -> None:
+    point_derivatives: Floats, weight: Floats, work_rows: Floats, observed: Floats, predicted: Floats,
+    residual: Floats, point_grad: Floats, cost: Floats
+) -> None:  # fmt: skip
     """Negative gradient by the target, from one pointing of each trial, written to `point_grad` (3, trials).
 
     Whitened residuals are written to `residual` (3, trials), and their squares are added to `cost` (trials,).
+    `work_rows` is the result of `_station_to_target`; `observed` and `predicted` (3, trials) are minus nominal
+    readings.
     """
     j00, j01, j02 = point_derivatives[0, 0], point_derivatives[0, 1], point_derivatives[0, 2]
     j10, j11, j12 = point_derivatives[1, 0], point_derivatives[1, 1], point_derivatives[1, 2]
@@ -369,7 +364,10 @@ def _target_gradient(
 def _add_network_gradients(
     rotation: Floats, pose: Floats, work_rows: Floats, grad: Floats, pose_gradient: Floats, target_gradient: Floats
 ) -> None:
-    """Addition of a pointing's negative gradient `grad` (3, trials) to the gradients of its target and station."""
+    """Addition of a pointing's negative gradient `grad` (3, trials) to the gradients of its target and station.
+
+    `work_rows` is the result of `_station_to_target` for this pointing, and `pose` (6, trials) the pose minus nominal.
+    """
     r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
     r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
     r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]

@@ -72,7 +72,8 @@ class Recovery(ResultFile):
     passed: bool
     """True if all checks passed and no parameter is unchecked, unless unchecked parameters are permitted."""
     error_origin: InstrumentErrorOrigin = "drawn"
-    """Origin of the true instrument errors: `drawn` from the prior, or `stated` (declared) by the scenario."""
+    """Origin of the true instrument errors: `drawn` from the prior distribution of the parameters, or `stated`
+    (declared) by the scenario."""
     trials: NonNegativeInt
     """Number of trials."""
     trials_with_result: NonNegativeInt
@@ -90,14 +91,18 @@ class Recovery(ResultFile):
     allow_unchecked: bool = False
     """True if the run may pass with unchecked parameters."""
     tolerances: dict[str, str] = Field(default_factory=dict)
-    """Tolerances of the user by parameter, such as `2 urad`. If there are any, only these parameters are checked."""
+    """Tolerances of the user by parameter, such as `2 urad`. If there are any, parameters without a tolerance are not
+    checked."""
     last_failure_reason: str = ""
     """Reason of the last failed trial; empty if no trial failed."""
     _arrays: RecoveryTrials | None = PrivateAttr(None)
 
     @classmethod
     def from_trials(cls, trials: RecoveryTrials, *, seed: int = 0, allow_unchecked: bool = False) -> Self:
-        """Result of a recovery check from its trials."""
+        """Result of a recovery check from its trials.
+
+        `seed` is the seed of the trials. With `allow_unchecked` the check may pass although parameters are unchecked.
+        """
         checks, unchecked = tuple(trials.checks()), trials.unchecked_parameters()
         result = cls(
             passed=all(check.passed for check in checks) and (allow_unchecked or not unchecked),
@@ -145,7 +150,7 @@ class Recovery(ResultFile):
         return [check for check in self.checks if not check.passed]
 
     def unestimated_parameter_sentences(self) -> list[str]:
-        """Sentences on parameters that ltsim estimates but the checked calibrator does not; empty without any."""
+        """Sentences on parameters that ltsim estimates but the checked calibrator does not; empty list without any."""
         more = [name for name in self.ltsim_parameters if name not in {p.parameter for p in self.parameters}]
         if not more:
             return []
@@ -224,6 +229,7 @@ def recover(
     Parameters
     ----------
     source : Scenario, str or Path
+        Scenario, its file, or the name of a built-in scenario.
     trials : int
         Number of simulated recordings, at least two.
     method, with_effects
@@ -243,8 +249,8 @@ def recover(
         True to pass although a parameter cannot be checked, because it has neither a declared standard deviation nor a
         tolerance.
     errors : {`drawn`, `stated`}, optional
-        Instrument errors that are drawn from the prior, or given by the scenario; default `stated` if the scenario
-        gives any.
+        Instrument errors that are drawn from the prior distribution of the instrument parameters, or given by the
+        scenario; default `stated` if the scenario gives any.
     seed : int
         Seed of all random draws. Trial N equals trial N of `simulate` with this seed and the geometry `per-trial`.
     jobs : int

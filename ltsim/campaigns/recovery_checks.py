@@ -68,7 +68,7 @@ class RecoveryCheck(Entry):
         return cls(subject=subject, statistic=statistic, value=value, passed=is_passed, **limits)
 
     def with_limits(self, lower_limit: float, upper_limit: float) -> Self:
-        """Check of the same value with the limits `lower_limit` and `upper_limit`."""
+        """Copy of this check with the limits `lower_limit` and `upper_limit`."""
         return self.from_value(
             self.subject, self.statistic, math.nan if self.value is None else self.value, lower_limit, upper_limit
         )
@@ -221,6 +221,8 @@ def total_chi2_check(chi2: Floats, expected_chi2: Floats, chi2_sigma: Floats, al
 
 def unit_mean_check(subject: str, statistic: str, trial_values: Floats, alpha: float) -> RecoveryCheck:
     """Check that `trial_values` (trials,), whose expectation is one, have a mean near one.
+
+    `subject` and `statistic` say in the name of the check what the values describe.
 
     The limits follow from the median absolute deviation divided by the median, so that neither a few outliers nor
     values that are all too large widen them. `alpha` is the false-alarm rate.

@@ -124,13 +124,16 @@ class RecoverySettings:
     calibrator: ExternalCalibrator | None = None
     """External calibrator that is checked; None to check ltsim's calibration."""
     error_origin: InstrumentErrorOrigin = "drawn"
-    """Origin of the true errors of the instruments: drawn from the prior, or declared by the scenario."""
+    """Origin of the true errors of the instruments: drawn from the prior distribution of their parameters, or declared
+    by the scenario."""
 
 
 def run_recovery_trials(
     scenario: Scenario, trials: int, settings: RecoverySettings, *, seed: int = 0, jobs: int = 1
 ) -> Generator[TrialScore | FailedTrial, None, None]:
-    """Score or failure of each trial, in the order of the trials, identical for any number of processes.
+    """Score or failure of each of a number of `trials` drawn with `seed`, in the order of the trials.
+
+    The result does not depend on the number of processes `jobs`.
 
     InputError is raised if the calibrator estimates a parameter that the scenario does not simulate.
     """
@@ -140,7 +143,7 @@ def run_recovery_trials(
 
 
 def scenario_with_errors_from_prior(scenario: Scenario) -> Scenario:
-    """Scenario in which all instrument errors are drawn from the priors that the calibrator uses."""
+    """Scenario in which all instrument errors are drawn from the prior distributions that the calibrator assumes."""
     error_fields = {"errors": {"draw": True}, "error_factor": 1.0}
     tracker_by_name = {name: tracker.model_copy(update=error_fields) for name, tracker in scenario.instruments.items()}
     return scenario.model_copy(
@@ -199,9 +202,10 @@ class RecoveryTrials(ValueEquality):
     trial_scores: tuple[TrialScore | None, ...]
     """Score of each trial; None for a trial without a result."""
     error_origin: InstrumentErrorOrigin = "drawn"
-    """Origin of the true errors of the instruments: drawn from the prior, or declared by the scenario."""
+    """Origin of the true errors of the instruments: drawn from the prior distribution of their parameters, or declared
+    by the scenario."""
     tolerance_by_parameter: Mapping[str, RecoveryTolerance] = field(default_factory=dict)
-    """Tolerance by name of the parameter; if there are any, only these parameters are checked."""
+    """Tolerance by name of the parameter. If there is any, parameters without a tolerance are not checked."""
     run_time_s: float = 0.0
     """Run time of the trials [s]."""
     last_failure_reason: str = ""

@@ -211,7 +211,7 @@ MAX_FACTOR_LEVEL_ROUNDING_ERROR = 5e-4
 """Largest relative difference between a factor level and the number by which a user requests it, so that a number with
 three digits is sufficient."""
 CellAndMethod = tuple[int, str]
-"""Index of a cell (combination of factor levels), from 0, and name of a method."""
+"""Index of a cell (combination of factor levels), from 0, and name of a calibration method."""
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,9 @@
 """Schema of manifest.json, and columns of the tables of a campaign."""
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from textwrap import indent
 from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
 from pydantic import ConfigDict, Field, StrictBool, StrictFloat, StrictInt, StrictStr, model_validator
@@ -21,17 +23,20 @@ QUANTILE_LEVELS = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
 SUMMARY_FILE_NAME = "summary.csv"
 """Name of the file with the statistics of a campaign."""
 SOLVER_DIFFERENCE_COLUMN = "full_difference_sigma"
-"""Name of the column with the largest difference between batch solver and full solver; only verified trials have a
-value."""
+"""Name of the column with the largest difference between the calibration of many trials together (batch solver) and of
+the single trial by `lt.calibrate` (full solver). Only trials that are calibrated by both have a value."""
 PARAMETER_UNIT_PLACEHOLDER = "of the parameter"
-"""Text in place of a unit, for columns with one name per parameter whose numbers are in the unit of the parameter."""
+"""Text in place of a unit in the documentation of columns that exist once per parameter, each in the unit of its
+parameter."""
 TRIAL_STATUSES = BATCH_CONVERGED, FULL_SOLVER, WITHOUT_RESULT = "converged", "full solver", "failed"
-"""Possible statuses of a trial: calibrated by the batch solver, calibrated by the full solver, or without a result."""
+"""Possible statuses of a trial: calibrated together with other trials (batch solver), calibrated alone by
+`lt.calibrate` (full solver), or without a result."""
 InstrumentErrorOrigin = Literal["drawn", "stated"]
-"""Origin of the true instrument errors in a recovery check: `drawn` from the prior, or `stated` (declared) by the
-scenario."""
+"""Origin of the true instrument errors in a recovery check: `drawn` from the prior distribution of the parameters, or
+`stated` (declared) by the scenario."""
 StatisticGroup = Literal["criteria", "errors", "z-scores", "estimates", "truth"]
-"""Group of result columns in the rows of a campaign; the key `statistics` of the campaign file selects groups."""
+"""Group of result columns in the rows of a campaign, which the key `statistics` of the campaign file selects:
+disagreement of stations (`criteria`), errors of points, z-scores, estimates, or true values (`truth`)."""
 MEASURED_POINT_ERROR_MEANING = (
     "rms over stations and targets of the 3D distance between the true point and the point that the readings give, "
     "after a rigid fit of each station's points to the true points; noise of these readings included"
@@ -65,23 +70,31 @@ def _result_columns(group: StatisticGroup | None, unit: str, **meanings: str) ->
 
 
 def _parameter_column(name: str, unit: str, group: StatisticGroup, description: str) -> RowColumn:
-    """Column with one value per parameter; `name` is the prefix of the column names."""
+    """Columns with one value per parameter; `name` begins their names, `description` is their meaning."""
     return RowColumn(f"{name}:", description, unit=unit, group=group)
 
 
 def _criterion_columns(criterion_kind: str, description: str) -> list[RowColumn]:
-    """Columns of a criterion of the disagreement of stations: mean and maximum, before and after calibration."""
+    """Columns of a disagreement of the stations: mean and maximum, before and after calibration, and reduction.
+
+    `criterion_kind` (`distance` or `coordinate`) begins the column names, `description` is the meaning of the
+    disagreement.
+    """
     meaning_by_column = {
         f"{criterion_kind}_{when}_{which}_um": f"{word} of {description}, {words}"
         for when, words in (("before", "readings without corrections"), ("after", "readings corrected"))
         for which, word in (("mean", "mean"), ("max", "largest"))
     }
-    gain = {f"{criterion_kind}_improvement_percent": f"100 (1 - after / before) of the mean {criterion_kind} criterion"}
+    meaning_of_gain = f"100 (1 - mean after / mean before calibration) of {description}"
+    gain = {f"{criterion_kind}_improvement_percent": meaning_of_gain}
     return _result_columns("criteria", "um", **meaning_by_column) + _result_columns("criteria", "%", **gain)
 
 
 def _error_columns(prefix: str, description: str) -> list[RowColumn]:
-    """Columns of an error: readings uncorrected, corrected by estimates, and corrected by true parameters."""
+    """Columns of a point error [um], from readings uncorrected, corrected by estimates, or by true parameters.
+
+    `prefix` begins the column names, `description` is the meaning of the error.
+    """
     floor = "readings corrected by the true parameters: the limit of noise and unmodelled effects"
     meaning_by_column = {
         f"{prefix}error_raw_um": f"{description}; readings without corrections",
@@ -96,10 +109,10 @@ def _error_columns(prefix: str, description: str) -> list[RowColumn]:
 RESULT_COLUMNS: tuple[RowColumn, ...] = (
     *_result_columns(None, "", chi2="chi-square: minimum of the weighted sum of squared residuals"),
     *_result_columns(
-        None, "sigma", **{SOLVER_DIFFERENCE_COLUMN: "largest difference of parameters and targets from the full solver"}
+        None, "sigma", **{SOLVER_DIFFERENCE_COLUMN: "largest difference of parameters and targets from `lt.calibrate`"}
     ),
-    *_criterion_columns("distance", "the distance criterion: deviations of distances from their mean over stations"),
-    *_criterion_columns("coordinate", "the coordinate criterion: deviations of coordinates after a rigid fit (eq. 12)"),
+    *_criterion_columns("distance", "the disagreement of stations in distances (Sensors 2021, 21, 7479, eq. 11)"),
+    *_criterion_columns("coordinate", "the disagreement of stations in coordinates after a rigid fit (eq. 12)"),
     *_error_columns("", MEASURED_POINT_ERROR_MEANING),
     *_result_columns(
         "errors",
@@ -129,7 +142,11 @@ def find_result_column(name: str) -> RowColumn | None:
 
 
 def error_columns_of_ratio(ratio_name: str) -> tuple[str, str, str]:
-    """Names of the columns from which a ratio is computed: error uncorrected, calibrated, and with true parameters."""
+    """Names of the columns from which the ratio `ratio_name` is computed.
+
+    They contain the error of points from uncorrected readings, after calibration, and after correction by the true
+    parameters.
+    """
     prefix = ratio_name.removesuffix("share_removed")
     return f"{prefix}error_raw_um", f"{prefix}error_calibrated_um", f"{prefix}error_true_parameters_um"
 
@@ -172,7 +189,7 @@ ROWS_TABLE = Table(
         *number_columns(cell="number of the cell (combination of factor levels), from 0"),
         *text_columns(method="name of the calibration method"),
         *number_columns(trial="number of the trial; `ltsim simulate --trial NUMBER` writes its recording"),
-        *text_columns(status="converged, full solver (the batch solver did not converge), failed"),
+        *text_columns(status="converged, full solver (by `lt.calibrate`, as the batch did not converge), failed"),
         *RESULT_COLUMNS,
     ),
 )
@@ -209,7 +226,7 @@ def summary_table(factors: Mapping[str, str]) -> Table:
 
 
 class TrackerSettings(Entry):
-    """Tracker of a scenario in the manifest, with all keys of its table."""
+    """Tracker of a scenario in `manifest.json`, with all keys of its table in the scenario file."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -225,7 +242,7 @@ class ScenarioSettings(Entry):
     instrument: TrackerSettings
     """Tracker of the stations for which the scenario names no other tracker."""
     instruments: dict[str, TrackerSettings] = Field(default_factory=dict)
-    """Trackers with names, by name."""
+    """Further trackers of the scenario, by the name that the stations use."""
 
 
 FactorLevelValue = StrictBool | StrictInt | StrictFloat | StrictStr | None
@@ -309,7 +326,7 @@ class ManifestFile(ResultFile):
     trials: NonNegativeInt
     """Largest number of trials of each cell (combination of factor levels)."""
     trials_per_shard: Annotated[int, Field(ge=1)] | None = None
-    """Number of trials in a file of rows (shard); null if the campaign declares none."""
+    """Number of trials in a file of rows (shard); null if the campaign file declares no number."""
     methods: tuple[str, ...] = Field(min_length=1)
     """Names of the calibration methods."""
     factors: tuple[Factor, ...] = ()
@@ -327,6 +344,13 @@ class ManifestFile(ResultFile):
     """Content of the campaign file."""
     scenarios: tuple[ScenarioSettings, ...] = ()
     """Scenario of each cell (combination of factor levels), with all its keys."""
+
+    def text(self) -> str:
+        """Text of the JSON file; scenarios are converted one by one, because 4,000 of them would take 200 MB."""
+        text = ResultFile.text(self.model_copy(update={"scenarios": ()}))
+        dumps = (scenario.model_dump(mode="json", by_alias=True, exclude_unset=True) for scenario in self.scenarios)
+        entries = ",\n".join(indent(json.dumps(dump, indent=1, allow_nan=False), "  ") for dump in dumps)
+        return text.replace('\n "scenarios": []', f'\n "scenarios": [\n{entries}\n ]', 1) if entries else text
 
     def _summary_lines(self) -> list[str]:
         title = f"{self.title}: " if self.title else ""

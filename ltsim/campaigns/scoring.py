@@ -22,8 +22,8 @@ from ltsim.recordings.files import safe_excerpt
 from ltsim.simulation.truth import Truth
 
 MIN_NOISE_VARIANCE_FRACTION = 1e-4
-"""Smallest fraction of a declared variance that has to come from noise. Below it the error comes from the prior, and
-the parameter has no z-score."""
+"""Smallest fraction of the declared variance of a parameter that has to come from noise of the readings. Below it
+nearly all of the error comes from the prior of the parameter, and the parameter has no z-score."""
 
 
 @dataclass(frozen=True)
@@ -52,14 +52,14 @@ class TrialScore(ValueEquality):
     parameter_units: tuple[str, ...]
     estimates: Floats
     declared_sigmas: Floats
-    """Standard deviations that the calibrator declares, (parameters,); NaN for a parameter without one."""
+    """Standard deviations that the calibrator declares, (parameters,); NaN if it declares none."""
     true_values: Floats
     prior_independent_z_scores: Floats
-    """Z-scores corrected for the influence of the prior, (parameters,): errors minus their expected bias, divided by
-    their expected standard deviation. Both expectations use the distribution from which the true values come. The
-    scores are standard normal for a correct calibrator, even if the true values are not drawn from the prior. NaN for a
-    parameter whose error does not come from noise. NaN for an external calibrator unless the true values are drawn from
-    the prior."""
+    """Z-scores corrected for the influence of the prior of the parameters, (parameters,): errors minus their expected
+    bias, divided by their expected standard deviation. Both expectations use the distribution from which the true
+    values come. The scores are standard normal for a correct calibrator, even if the true values are not drawn from the
+    prior. NaN for a parameter whose error does not come from noise. NaN for an external calibrator unless the true
+    values are drawn from the prior."""
     network_score: NetworkScore = NetworkScore()
     is_from_external_calibrator: bool = False
     """True if the estimates are from an external calibrator, whose prior is unknown."""
@@ -102,27 +102,28 @@ def check_parameters_have_true_values(names: Sequence[str], true_names: Collecti
     if unknown:
         raise InputError(
             f"the simulated instrument ({truth.construction}) has no parameter {unknown[0]}, "
-            "which the calibrator gives; recover with the same construction"
+            "which the calibrator estimates; recover with the same construction as in the scenario"
         )
 
 
 @dataclass(frozen=True)
 class TrueParameterDistribution:
-    """Distribution of the true values of parameters, and bias of the estimates by the prior.
+    """Distribution of the true values of parameters, and bias of their estimates by the priors of the parameters.
 
     All values are divided by the prior standard deviations of the parameters.
     """
 
     mean_true_values: Floats
-    """Mean of the distribution of the true parameters, (parameters,); the true values if they were not drawn."""
+    """Mean of the distribution from which the true parameters are drawn, (parameters,); for declared parameters the
+    declared values."""
     true_value_sigmas: Floats
     """Standard deviation of the distribution of the true parameters, (parameters,); 0 for declared values."""
     bias_matrix: Floats
-    """Matrix (parameters, parameters) of the bias by the prior: without noise, the error of the estimates is the
-    negative product of this matrix and the true values."""
+    """Matrix (parameters, parameters) of the bias of the estimates by the priors of the parameters: without noise, the
+    error of the estimates is the negative product of this matrix and the true values."""
     network_column_indices: Ints
-    """Columns of the parameters in the design matrix of the adjusted network, (parameters,); empty for a distance
-    method, which adjusts no network."""
+    """Columns of the parameters in the design matrix of the adjusted network, (parameters,); empty for a calibration by
+    distances, which adjusts no network."""
     prior_sigmas: Floats
     """Prior standard deviations of the parameters, (parameters,) [SI]."""
 
@@ -160,7 +161,7 @@ class TrueParameterDistribution:
 
     @property
     def is_drawn_from_prior(self) -> bool:
-        """True if the true parameters were drawn from the prior."""
+        """True if the true parameters were drawn from the prior that the calibration assumes."""
         return not np.any(self.mean_true_values) and bool(np.all(self.true_value_sigmas == 1.0))
 
     @property
@@ -261,8 +262,9 @@ def _network_mean_square_z(
 ) -> tuple[float, float]:
     """Mean squared z-scores (error / sigma): over all targets, and over the poses of stations.
 
-    Bias and variance by the prior are taken into account, so that the expectation of each is one. Both are NaN if the
-    datum is not the first station, and for a distance method if the true parameters were not drawn from the prior.
+    Bias and variance by the priors of the parameters are taken into account, so that the expectation of each is one.
+    Both are NaN if the datum is not the first station, and for a calibration by distances if the true parameters were
+    not drawn from the priors.
     """
     adjustment = calibration.adjustment
     unknown = calibration.method != "network" and not expected.is_drawn_from_prior

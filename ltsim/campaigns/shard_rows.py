@@ -175,8 +175,8 @@ class CellContext:
     def _max_batch_trials(self, default_number: int, geometry_values_per_pointing: int) -> int:
         """Number of trials of a batch: `default_number`, halved until the arrays have at most `MAX_BATCH_ARRAY_VALUES`.
 
-        The number does not depend on the trials that are requested, because sums may depend on the number of trials in
-        a batch.
+        `geometry_values_per_pointing` is 0 if all trials share a geometry. The number does not depend on the trials
+        that are requested, because sums may depend on the number of trials in a batch.
         """
         evaluators = (self.shared_geometry_evaluator_and_calibrators[0], self.validation_evaluator)
         values = 0
@@ -193,7 +193,7 @@ class CellContext:
     def _trial_geometries(self, trials: range) -> dict[int, TrueNetwork]:
         """True network geometry of each trial by its number, without trials whose geometry is impossible.
 
-        All have the set-up of the network geometry that the trials share if the campaign has no separate geometries.
+        All have the same set-up (visible targets, declared values) as the network geometry of the planned layout.
         """
         geometries, seed = {}, self.campaign.seed
         for trial in trials:
@@ -293,7 +293,7 @@ def _compute_new_rows(task: ShardTask, n_existing_trials: int, *, truth_only: bo
 
 @dataclass(frozen=True)
 class TrialBatchRowBuilder:
-    """Batch of drawn trials, from which the campaign rows of every method are computed."""
+    """Builder of the rows of a campaign, for all calibration methods, from a batch of drawn trials."""
 
     campaign: CampaignFile
     evaluator: TrialEvaluator
@@ -303,7 +303,7 @@ class TrialBatchRowBuilder:
     requested_trial_indices: Ints
     """Indices (requested trials,), in the batch, of the trials whose rows are requested."""
     verified_trial_indices: Ints
-    """Indices, in the batch, of the trials that the full solver calibrates again for verification."""
+    """Indices, in the batch, of the trials that `lt.calibrate` calibrates again, for verification."""
     contains_only_true_values: bool = False
     """True if the rows contain only the drawn true values, and no trial is calibrated."""
 
@@ -341,7 +341,7 @@ class TrialBatchRowBuilder:
         return values + share * (population.instrument_error_sigmas * moves)[:, :, None] * step.reshape(values.shape)
 
     def method_columns(self, calibrator: TrialCalibrator) -> ResultColumns:
-        """Result columns of a method, in the groups that the key `statistics` of the campaign selects."""
+        """Result columns of a calibration method, in the groups that the key `statistics` of the campaign selects."""
         wanted, batch, network = self.campaign.statistics, self.trial_batch, self.evaluator.true_network
         construction, effects = calibrator.construction, calibrator.effects
         if self.contains_only_true_values:

@@ -47,17 +47,16 @@ VALIDATION_STREAM_KEY = "judge"
 class CalibrationMethod(TomlSection):
     """Calibration method of a campaign.
 
-    The solver ``batch`` calibrates all trials in one network geometry together. It is hundreds of times as fast as
-    ``single``, which calibrates each recording by `lt.calibrate`. Every campaign verifies on a sample of its trials
-    that both solvers agree.
+    The solver ``batch`` calibrates all trials in one network geometry together, hundreds of times as fast as ``single``
+    (each recording by `lt.calibrate`). Every campaign calibrates some trials with both and reports the difference.
     """
 
     name: str = ""
-    """Name of the method in the results; default the value of `method`."""
+    """Name of the calibration method in the results; default the value of `method`."""
     method: Literal["network", "distance", "distance-l1", "equation-9", "equation-9-l1"] = "network"
-    """Estimator: network adjustment, or the distance objective of Sensors 2021, 21, 7479 by least squares or least
-    absolute deviations (`-l1`). `distance` estimates the combinations of parameters that the readings determine,
-    `equation-9` minimises the objective as printed."""
+    """Estimator: network adjustment, or the agreement of target distances between stations (Sensors 2021, 21, 7479,
+    equation 9) by least squares or least absolute deviations (`-l1`). `distance` estimates only the combinations of
+    parameters that the readings determine, `equation-9` estimates all, as in the paper."""
     construction: Literal["misalignment", "dh", "steering-mirror", "ideal"] = "misalignment"
     """Geometric error model whose parameters are estimated; `ideal` has none."""
     harmonics: Annotated[int, Field(ge=0, le=4)] = 2
@@ -74,17 +73,17 @@ class CalibrationMethod(TomlSection):
 
     @property
     def title(self) -> str:
-        """Name of the method in the results."""
+        """Name of the calibration method in the results."""
         return self.name or self.method
 
     @model_validator(mode="after")
     def _check_effects_have_network(self) -> Self:
         if self.effects and self.method != "network":
-            raise ValueError(f"it should have no effects: method {self.method} estimates instrument parameters only")
+            raise ValueError(f"effects should be empty: method {self.method} estimates instrument parameters only")
         if self.uses_applied_corrections and (self.effects or self.method != "network" or self.solver != "single"):
-            raise ValueError("it needs method network, solver single and no effects for uses_applied_corrections")
+            raise ValueError("uses_applied_corrections needs method = 'network', solver = 'single' and no effects")
         if self.construction == "ideal" and self.method != "network":
-            raise ValueError(f"it should not be ideal: method {self.method} needs parameters to estimate")
+            raise ValueError(f"construction should not be ideal: method {self.method} needs parameters to estimate")
         return self
 
 
@@ -129,9 +128,10 @@ class CampaignFile(TomlSection):
     """True positions of stations and targets: equal for all trials with equal factor levels (`shared`), or drawn for
     each trial (`per-trial`)."""
     verified_trials_per_shard: Annotated[int, Field(ge=0, le=1000)] = 2
-    """Number of trials at the start of each output file that the full solver repeats for verification."""
+    """Number of trials at the start of each output file that `lt.calibrate` repeats one by one, for verification."""
     statistics: DistinctValues[StatisticGroup] = ("criteria", "errors", "z-scores")
-    """Groups of results that each row contains."""
+    """Groups of results that each row contains: disagreement of stations (`criteria`), errors of points (`errors`),
+    `z-scores`, `estimates` and true values (`truth`)."""
     validation_points: str = ""
     """Held-out points, which the instruments of each trial measure but no calibration uses. Name of a scenario
     (built-in, or a file in the folder of this one), or of a table of points (`target,x_mm,y_mm,z_mm` in a file
@@ -161,9 +161,9 @@ class CampaignFile(TomlSection):
     def _check_names_differ(self) -> Self:
         titles = [method.title for method in self.methods]
         if not titles or len(set(titles)) < len(titles):
-            raise ValueError(f"it should have methods with different names, found {', '.join(titles) or 'none'}")
+            raise ValueError(f"methods should be one or more with different names, found the names {titles}")
         if any(not values for values in self.grid.values()):
-            raise ValueError("it should have at least one value per key of the grid")
+            raise ValueError("each key of grid should have at least one value")
         return self
 
     @model_validator(mode="after")
@@ -177,7 +177,7 @@ class CampaignFile(TomlSection):
                 f"stop.statistic: {unknown_name_error('column of the rows', self.stop.statistic, columns)}"
             )
         if column.group and column.group not in self.statistics:
-            message = f"it should have '{column.group}' among its statistics, since stop needs {self.stop.statistic}"
+            message = f"statistics should include '{column.group}', because stop.statistic is {self.stop.statistic}"
             raise ValueError(message)
         return self
 
@@ -187,7 +187,7 @@ class CampaignFile(TomlSection):
         keys = [key for name in places for key in self.linked_keys.get(name, (name,))]
         twice = next((key for key, count in Counter(keys).items() if count > 1), None)
         if twice:
-            raise ValueError(f"it should vary each key once, found {twice} twice in grid, design and linked_keys")
+            raise ValueError(f"grid, design and linked_keys should vary each key once, but they vary {twice} twice")
         return self
 
     @model_validator(mode="after")
@@ -196,14 +196,14 @@ class CampaignFile(TomlSection):
         cells *= self.design.cell_count if self.design else 1
         if cells > MAX_CELLS:
             raise ValueError(
-                f"it should have at most {MAX_CELLS} cells, but the grid gives {cells}: divide the campaign"
+                f"a campaign should have at most {MAX_CELLS} cells, but grid, design and cells give {cells}: divide it"
             )
         number_of_shards(self.trials, self.trials_per_shard, cells)
         n_rows = min(self.trials_per_shard, self.trials) * len(self.methods)
         if n_rows > MAX_WRITTEN_SHARD_ROWS:
             raise ValueError(
-                f"it should have at most {MAX_WRITTEN_SHARD_ROWS} rows per file, but trials_per_shard and methods give "
-                f"{n_rows}: reduce trials_per_shard"
+                f"a file of rows should have at most {MAX_WRITTEN_SHARD_ROWS} rows, but trials_per_shard and methods "
+                f"give {n_rows}: reduce trials_per_shard"
             )
         return self
 
@@ -385,7 +385,7 @@ def cad_files(scenarios: Iterable[Scenario]) -> list[Path]:
 
 
 def _with_cad_digests(scenario: Scenario) -> Scenario:
-    """Scenario in which digests of the contents of its CAD files replace their names."""
+    """Copy of a scenario in which the name of each CAD file is replaced by the digest of the file's content."""
     hall = scenario.workshop
     digests = {path: hashlib.sha256(read_cad_bytes(path)).hexdigest() for path in cad_files([scenario])}
     obstacles = [o if o.file is None else o.model_copy(update={"file": digests[Path(o.file)]}) for o in hall.obstacles]

@@ -52,8 +52,8 @@ MAX_ROWS_FOR_EXACT_QUANTILES = 50_000_000
 """Largest number of rows for which quantiles are exact. They need all values of a column in memory; for more rows they
 are approximated (t-digest)."""
 CRITERIA_WITH_REPORTED_IMPROVEMENT = ("distance", "coordinate")
-"""Criteria of the disagreement between stations (in distances, in coordinates) whose reduction [%] by the calibration
-is reported."""
+"""Measures of the disagreement between stations (in distances between targets, in coordinates of targets) whose
+reduction by the calibration [%] is reported."""
 
 
 class CampaignStatistics:
@@ -119,9 +119,9 @@ class CampaignStatistics:
         self._cache: dict[str, list[tuple[Any, ...]]] = {}
 
     def _set_temporary_folder(self) -> None:
-        """Setting of a folder for what exceeds the memory of the database, removed together with this object.
+        """Setting of a temporary folder for query data that exceeds the memory limit of the database.
 
-        The default would be `.tmp` in the working folder, even if it is a link.
+        It is removed with this object. DuckDB's default would be `.tmp` in the working folder, even if that is a link.
         """
         temporary_folder = mkdtemp(prefix="ltsim-")
         weakref.finalize(self, shutil.rmtree, temporary_folder, ignore_errors=True)
@@ -144,7 +144,7 @@ class CampaignStatistics:
     def _create_cells_table(self) -> None:
         """Creation of the table `cells` (combinations of factor levels), with column types as in the table `rows`.
 
-        It uses plain SQL instead of Arrow, which would import pandas.
+        The table is created by plain SQL, because a transfer from Arrow would import pandas.
         """
         cells = self._cells()
         columns = "".join(f", {sql_identifier(factor.name)}" for factor in self.factors)
@@ -216,7 +216,7 @@ class CampaignStatistics:
     def half_width_of_interval(self, n_trials: int, sigma: float) -> float:
         """Half-width of the 95 % confidence interval of the mean of `n_trials` values with standard deviation `sigma`.
 
-        It is wider than without adaptive stopping if the campaign has a stopping rule.
+        The interval is wider if the campaign has a stopping rule, because it is then evaluated several times.
         """
         stops = bool(self.manifest.settings.get("stop"))
         level = interval_error_rate(self.manifest.trials, self.manifest.trials_per_shard or 1, is_stopping=stops)
@@ -366,14 +366,14 @@ def _interruptible() -> Iterator[None]:
 
 
 def _column_units(schema: pa.Schema) -> dict[str, str]:
-    """Units by column name, from the metadata of a file of rows, also for the improvement columns that queries add."""
+    """Units by column name, from the metadata of a file of rows, and of the columns `..._improvement_percent`."""
     units = {f.name: (f.metadata or {}).get(b"unit", b"").decode() for f in schema}
     added = {f"{kind}_improvement_percent": "%" for kind in CRITERIA_WITH_REPORTED_IMPROVEMENT}
     return {name: unit for name, unit in (units | added).items() if unit}
 
 
 def _improvement_sql(names: list[str]) -> str:
-    """SQL expressions of the improvement by calibration [%], for the criteria whose columns are in `names`."""
+    """SQL expressions of the reduction of station disagreement by calibration [%], for the columns `names`."""
     added = [
         f', (100 * (1 - "{kind}_after_mean_um" / "{kind}_before_mean_um"))::FLOAT AS {kind}_improvement_percent'
         for kind in CRITERIA_WITH_REPORTED_IMPROVEMENT

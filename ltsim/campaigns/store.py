@@ -121,7 +121,7 @@ class CampaignFolder:
         return [path for path in paths if max_shards is None or path.name < self.shard_path(0, max_shards).name]
 
     def read_rows(self, cell: int, shard: int) -> pa.Table:
-        """Rows of a finished file of rows (shard); raises InputError for a damaged one."""
+        """Rows of finished file `shard`, from 0, of the combination of factor levels `cell`; InputError if damaged."""
         path = self.shard_path(cell, shard)
         try:
             return read_shard(path)
@@ -176,14 +176,20 @@ class CampaignFolder:
             write_files(self.folder, {**input_files, MANIFEST_FILE_NAME: manifest.text().encode()}, flush_to_disk=True)
 
     def write_shard(self, cell: int, shard: int, content: bytes) -> None:
-        """Atomic writing of a file of rows (shard); raises InputError if the disk is full or not writable."""
+        """Atomic writing of a file of rows; raises InputError if the disk is full or not writable.
+
+        `cell` and `shard` are the indices, from 0, of the combination of factor levels and of the file.
+        """
         name = self.shard_path(cell, shard).relative_to(self.folder).as_posix()
         with self._storage_errors():
             write_files(self.folder, {name: content}, flush_to_disk=True)
             self._append_digest(name, hashlib.sha256(content).hexdigest())
 
     def record_digest(self, cell: int, shard: int) -> None:
-        """Recording of the digest of a complete file of rows (shard), which a killed process did not record."""
+        """Recording of the digest of a complete file of rows, which a killed process did not record.
+
+        `cell` and `shard` are the indices, from 0, of the combination of factor levels and of the file.
+        """
         path = self.shard_path(cell, shard)
         with self._storage_errors():
             self._append_digest(path.relative_to(self.folder).as_posix(), _file_digest(path))
@@ -241,7 +247,10 @@ class CampaignFolder:
         return "incomplete" if is_incomplete else "complete"
 
     def quarantine_shard(self, cell: int, shard: int) -> Path:
-        """Renaming of a damaged file of rows (shard), so that the user can inspect it; returns its new path."""
+        """Renaming of a damaged file of rows, so that the user can inspect it; returns its new path.
+
+        `cell` and `shard` are the indices, from 0, of the combination of factor levels and of the file.
+        """
         path = self.shard_path(cell, shard)
         damaged_path = path.with_suffix(".damaged")
         path_in_folder(self.folder, damaged_path.relative_to(self.folder).as_posix())

@@ -28,7 +28,7 @@ class StatisticSummary(Entry):
     cell: int
     """Index of the cell (combination of factor levels) in the campaign, from 0."""
     method: str
-    """Name of the method."""
+    """Name of the calibration method."""
     column: str
     """Name of the result column, or of a ratio over all trials."""
     trials: int
@@ -55,13 +55,13 @@ class ZScoreSummary(Entry):
     """Summary of the z-scores, (estimate - true value) / sigma, of one parameter for a cell and method.
 
     A cell is a combination of factor levels. The z-scores are standard normal if the true values are drawn from the
-    prior and the covariance is correct.
+    prior of the parameter and the covariance is correct.
     """
 
     cell: int
     """Index of the cell (combination of factor levels) in the campaign, from 0."""
     method: str
-    """Name of the method."""
+    """Name of the calibration method."""
     parameter: str
     """Name of the parameter."""
     trials: int
@@ -75,25 +75,27 @@ class ZScoreSummary(Entry):
 
 
 class SolverComparison(Entry):
-    """Comparison of the batch solver with the full solver, in the trials of one cell and method.
+    """Comparison of two solvers, in the trials of one cell (combination of factor levels) and method.
 
-    A cell is a combination of factor levels.
+    The batch solver calibrates many trials together, the full solver (`lt.calibrate`) one at a time.
     """
 
     cell: int
     """Index of the cell (combination of factor levels) in the campaign, from 0."""
     method: str
-    """Name of the method."""
+    """Name of the calibration method."""
     trials: int
     """Number of trials of this cell (combination of factor levels) and method."""
     failed_trials: int
     """Number of trials without a result."""
     full_solver_trials: int
-    """Number of trials that the full solver calibrated."""
+    """Number of trials that `lt.calibrate` calibrated one by one (full solver), because the joint calibration of many
+    trials did not converge."""
     verified_trials: int
-    """Number of trials that both solvers calibrated, for verification."""
+    """Number of trials that both batch solver and full solver (`lt.calibrate`) calibrated, for verification."""
     largest_difference_sigma: NumberOrNaN | None
-    """Largest difference [sigma] between batch and full solver in the verified trials; null without such trials."""
+    """Largest difference [sigma] between batch solver and full solver (`lt.calibrate`), over the trials that both
+    calibrated; null without such trials."""
 
 
 class CampaignSummary(Entry):
@@ -111,11 +113,12 @@ class CampaignSummary(Entry):
     cells: tuple[CellEntry, ...]
     """Cells (combinations of factor levels) of the campaign."""
     solver_comparisons: tuple[SolverComparison, ...]
-    """Comparison of batch solver and full solver for each cell (combination of factor levels) and method."""
+    """Comparison of the calibration of many trials together with `lt.calibrate`, for each cell (combination of factor
+    levels) and method."""
     quantile_levels: tuple[float, ...] = QUANTILE_LEVELS
     """Probabilities of the quantiles in `columns`."""
     meanings: dict[str, str]
-    """Meaning of each column, by the name of the column."""
+    """Meaning of each result column, by the name of the column."""
     columns: tuple[StatisticSummary, ...]
     """Statistics of each result column, for each cell (combination of factor levels) and method."""
     z_scores: tuple[ZScoreSummary, ...]

@@ -32,8 +32,8 @@ from ltsim.simulation.simulator import with_certified_reference_lengths
 
 MIN_GROSS_ERROR_DISPLACEMENT_M = 0.6e-3
 """Displacement [m] of a measured point from its nominal position above which the trial may contain a gross error. If
-`MIN_GROSS_ERROR_DISPLACEMENT_RATIO` is exceeded too, the full solver, which rejects gross errors, calibrates the trial.
-"""
+`MIN_GROSS_ERROR_DISPLACEMENT_RATIO` is exceeded too, the trial is calibrated by `lt.calibrate`, which rejects gross
+errors."""
 MIN_GROSS_ERROR_DISPLACEMENT_RATIO = 10.0
 """Ratio of the largest to the median displacement of measured points from their nominal positions, above which a trial
 may contain a gross error."""
@@ -50,7 +50,7 @@ class CalibratedBatch:
     (instruments, parameters, trials)."""
     target_errors: Floats
     """Adjusted minus true coordinates of the targets, (targets, 3, trials) [m], both in the same frame; NaN for a
-    method that does not adjust targets."""
+    calibration by distances, which adjusts no targets."""
     chi2: Floats
     """Chi-square of each trial, (trials,)."""
     status_indices: Ints
@@ -127,16 +127,16 @@ class TrialCalibrator:
     effects: tuple[Effect, ...] = ()
     """Effects that are estimated in addition to the instrument parameters."""
     method: str = "network"
-    """Name of the method in the campaign file."""
+    """Name of the calibration method in the campaign file."""
 
     def calibrate(self, trial_batch: TrialBatch, trial_indices: Ints) -> CalibratedBatch:
         """Results for the trials of a batch; those of trials whose index is not in `trial_indices` may be NaN."""
         raise NotImplementedError
 
     def largest_solver_difference(self, trial_batch: TrialBatch, trial: int, results: CalibratedBatch) -> float:
-        """Largest difference between `results` of this calibrator for a trial and the full solver, in sigmas.
+        """Largest difference between `results` of this calibrator for a trial and `lt.calibrate`, in sigmas.
 
-        The difference is NaN if this calibrator is the full solver.
+        The difference is NaN if this calibrator itself calls `lt.calibrate`.
         """
         return float("nan")
 
@@ -153,7 +153,8 @@ def recording_of_trial(true_network: TrueNetwork, trial_batch: TrialBatch, trial
 def align_targets(adjustment: Adjustment, reference_points: Floats) -> Floats:
     """Adjusted targets (targets, 3) [m] after rigid alignment to `reference_points`; NaN for undetermined targets.
 
-    Ranges alone do not determine the handedness of the network. The mirror image is then used if it fits better.
+    If only ranges were measured, the network and its mirror image are equally possible; the one that fits better is
+    used.
     """
     is_lost = np.isin(adjustment.recording.targets, adjustment.undetermined_targets)
     points = np.where(is_lost[:, None], np.nan, adjustment.state.target_points)
@@ -177,7 +178,7 @@ def measured_targets_and_weights(true_network: TrueNetwork, set_numbers: Ints) -
 
 
 def possible_gross_error_mask(reading_deviations: Floats, local_points: Floats) -> Bools:
-    """Mask (trials,) of the trials that may contain a gross error, so that the full solver has to calibrate them.
+    """Mask (trials,) of the trials that may contain a gross error, and are therefore calibrated by `lt.calibrate`.
 
     `reading_deviations` (pointings, 3, trials) are readings minus nominal readings. `local_points` are the targets in
     the instruments' frames [m], (pointings, 3, trials), or (pointings, 3, 1) if all trials share them.
@@ -195,11 +196,11 @@ def possible_gross_error_mask(reading_deviations: Floats, local_points: Floats) 
 
 @dataclass(frozen=True)
 class SerialCalibrator(TrialCalibrator):
-    """Full solver: separate calibration of each recording by `lt.calibrate`."""
+    """Calibrator that calibrates each recording separately by `lt.calibrate` (full solver)."""
 
     uses_applied_corrections: bool = False
-    """True to return the corrections that `ltsim calibrate` applies, in place of the estimates. The standard deviations
-    are those of the estimates in both cases."""
+    """True to return the corrections that `ltsim calibrate` applies, in place of the estimates; the standard deviations
+    of the estimates are returned in both cases."""
 
     def calibrate(self, trial_batch: TrialBatch, trial_indices: Ints) -> CalibratedBatch:
         """Results for the trials of a batch; only the trials with the indices `trial_indices` are calibrated."""
@@ -235,8 +236,8 @@ class SerialCalibrator(TrialCalibrator):
     def adjust_recording(self, recording: Recording) -> tuple[Adjustment | None, Floats, Floats]:
         """Adjustment of a recording, its estimated instrument parameters, and their standard deviations.
 
-        The arrays have the shape (instruments, parameters) [SI]. The adjustment is None for a distance method, which
-        adjusts no network.
+        The arrays have the shape (instruments, parameters) [SI]. The adjustment is None for a calibration by distances,
+        which adjusts no network.
         """
         if self.uses_applied_corrections:
             calibration = calibrate_network(recording, self.construction, recommend_measurements=False)
@@ -254,12 +255,12 @@ class SerialCalibrator(TrialCalibrator):
 class BatchCalibrator(TrialCalibrator):
     """Calibrator that processes all trials in one network geometry together.
 
-    Trials that do not converge, or that may contain gross errors, are calibrated by the full solver.
+    Trials that do not converge, or that may contain gross errors, are calibrated one by one by `lt.calibrate`.
     """
 
     @cached_property
     def serial_calibrator(self) -> SerialCalibrator:
-        """Full solver, for trials that the batch solver cannot solve, and for verification."""
+        """Calibrator by `lt.calibrate`, for trials that do not converge in the batch, and for verification."""
         return SerialCalibrator(self.true_network, self.construction, self.effects, self.method)
 
     @cached_property
@@ -272,7 +273,10 @@ class BatchCalibrator(TrialCalibrator):
         )
 
     def calibrate_batch(self, trial_batch: TrialBatch, trial_indices: Ints) -> tuple[CalibratedBatch, Bools]:
-        """Results for the trials of a batch without the full solver, and mask (trials,) of the converged trials."""
+        """Results of the joint calibration of the trials of a batch, and mask (trials,) of the converged trials.
+
+        `trial_indices` are the trials for which slow computations, trial by trial, are permitted.
+        """
         network, fit = (
             self.batch_network,
             self.batch_network.fit_trials(trial_batch.reading_deviations, trial_batch.length_errors),
@@ -286,7 +290,7 @@ class BatchCalibrator(TrialCalibrator):
         ), fit.has_converged
 
     def calibrate(self, trial_batch: TrialBatch, trial_indices: Ints | None = None) -> CalibratedBatch:
-        """Results for the trials of a batch; the slow full solver is used only for `trial_indices`, if given."""
+        """Results for the trials of a batch; slow `lt.calibrate` is used only for `trial_indices`, if given."""
         trial_indices = np.arange(len(trial_batch.trial_numbers)) if trial_indices is None else trial_indices
         calibrated, good = self.calibrate_batch(trial_batch, trial_indices)
         is_sufficient = good & ~possible_gross_error_mask(
@@ -302,7 +306,7 @@ class BatchCalibrator(TrialCalibrator):
         return calibrated
 
     def largest_solver_difference(self, trial_batch: TrialBatch, trial: int, results: CalibratedBatch) -> float:
-        """Largest difference of parameters and targets of a trial between `results` and the full solver, in sigmas.
+        """Largest difference of parameters and targets of a trial between `results` and `lt.calibrate`, in sigmas.
 
         Targets are compared after a rigid fit, relative to their standard deviations after this fit. The difference is
         NaN for a failed trial.

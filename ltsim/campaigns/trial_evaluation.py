@@ -44,7 +44,7 @@ class TrialEvaluator:
 
     @cached_property
     def _measured_targets_and_weights(self) -> tuple[Bools, Floats]:
-        """Mask (stations, targets) of completely measured targets, and weights (pointings,) in their mean points."""
+        """Mask (stations, targets) of completely measured targets; weight (pointings,) of each pointing in its mean."""
         return measured_targets_and_weights(self.true_network, self.true_network.recording.station)
 
     @property
@@ -167,7 +167,7 @@ class TrialEvaluator:
         return error
 
     def method_independent_columns(self, trial_batch: TrialBatch) -> ResultColumns:
-        """Columns that all methods share: criteria and error before calibration, and error with the true parameters."""
+        """Columns that all methods share: disagreement and error before calibration, error with true parameters."""
         raw_clouds = self.mean_points_by_station(trial_batch.reading_deviations)
         perfect = self.mean_points_by_station(
             trial_batch.reading_deviations, self.true_network.construction, trial_batch.instrument_values
@@ -184,7 +184,7 @@ class TrialEvaluator:
         construction: GeometricErrorModel,
         effects: Sequence[Effect] = (),
     ) -> ResultColumns:
-        """Columns of a method: criteria and errors after correction of the readings by its estimates.
+        """Columns of a method: disagreement of stations and errors of points, with readings corrected by its estimates.
 
         As in `calibrate` and `evaluate`, the estimated range errors of reflectors by incidence angle are corrected too.
         Other nuisance errors with a prior remain in the readings. The correction by true parameters corrects no

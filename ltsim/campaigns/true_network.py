@@ -53,7 +53,8 @@ MAX_CACHED_EFFECT_DESIGNS = 8
 def make_campaign_geometry(scenario: Scenario, seed: int, *stream_key: str | int) -> MeasurementGeometry:
     """Measurement geometry of a scenario of a campaign, with a check of its size.
 
-    InputError is raised for a network of more than `MAX_CAMPAIGN_POINTINGS` or `MAX_CAMPAIGN_UNKNOWNS`.
+    `seed` and `stream_key` determine the random draws. InputError is raised for more than `MAX_CAMPAIGN_POINTINGS`
+    pointings or `MAX_CAMPAIGN_UNKNOWNS` unknowns.
     """
     geometry = make_measurement_geometry(scenario, seed, *stream_key)
     layout, n_pointings = geometry.layout, len(geometry.sightings)
@@ -224,7 +225,7 @@ class TrueNetwork:
         )
 
     def draw_batch(self, seed: int, batch_number: int, n_trials: int = TRIALS_PER_STREAM) -> TrialBatch:
-        """Batch of `n_trials` drawn trials; the number of its first trial is `batch_number` times `n_trials`."""
+        """Batch of `n_trials` trials drawn with `seed`; the number of the first is `batch_number` times `n_trials`."""
         return self.draw_trials(StandardNormalSource(seed, n_trials * batch_number + np.arange(n_trials)))
 
     def draw_trials(
@@ -233,7 +234,8 @@ class TrueNetwork:
         """Batch of the trials for which `normal_source` generates random numbers.
 
         `instrument_values` (instruments, parameters, trials) [SI], if given, replaces the drawn errors of the
-        instruments. Another `stream_key` gives the same trials independent noise, for a second measurement.
+        instruments. Two calls with different `stream_key` give the same trials independent noise, for a second
+        measurement.
         """
         draw = self.distributions.draw(normal_source, instrument_values, stream_key=stream_key)
         return self.batch_from_draw(draw, self._exact_reading_deviations(draw.instrument_values))
@@ -323,9 +325,9 @@ def make_true_network(
 ) -> TrueNetwork:
     """True network geometry of a scenario, drawn once, with the distributions of its trials; raises InputError.
 
-    `key` is the key of the random draws of the geometry, by default the key that `simulate` uses. `reference_network`
-    is another geometry of the same scenario; its set-up is used if the same targets are visible. `planned_layout` is
-    the planned layout, if it was computed before.
+    `seed` and `key` determine the random draws of the geometry; without `key` they are those of `simulate`.
+    `reference_network` is another geometry of the same scenario; its declarations are used if the same targets are
+    visible. `planned_layout` are the planned poses and targets of the scenario; None if they are not computed yet.
     """
     read = {frozenset(tracker.observables) for tracker in scenario.trackers_in_use.values()}
     if len(read) > 1:

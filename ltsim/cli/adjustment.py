@@ -65,7 +65,7 @@ def calibrate(
     reading_options: ReadingOptionsWithFrame,
     terminal: ResultFolderTerminal,
 ) -> None:
-    """Estimate the instrument's parameters from a recording, with uncertainties and the undetermined combinations.
+    """Estimate the instrument's parameters, with uncertainties; report combinations that stay undetermined.
 
     Writes calibration.json, targets.csv, targets.covariance.csv (joint covariance) and residuals.csv to --out.
 
@@ -162,7 +162,7 @@ def verify(
     reading_options: ReadingOptions,
     terminal: ResultFolderTerminal,
 ) -> None:
-    """Compare another recording with nominal points, before and after its correction by a calibration.
+    """Compare a recording with nominal points, before and after its correction by an earlier calibration.
 
     The errors of distances and coordinates are those of Sensors 2021, 21, 7479, eq. 13 and 14. Writes criteria.json to
     --out.
@@ -233,9 +233,9 @@ HeldOutErrorOption = Annotated[
     bool | None,
     typer.Option(
         "--held-out/--no-held-out",
-        help="Compute the held-out error by 5-fold cross-validation: each of five searches predicts the fifth of the "
-        "readings that it does not use. Effects that predict worse than no effect are reported as improbable. Default: "
-        "only for small recordings.",
+        help="Compute the held-out error by 5-fold cross-validation: the diagnosis is repeated five times, each time "
+        "without a fifth of the readings, which it then predicts. Effects that predict worse than no effect are "
+        "reported as improbable. Default: only for small recordings.",
     ),
 ]
 

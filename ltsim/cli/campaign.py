@@ -47,7 +47,7 @@ CampaignFolderOption = Annotated[
 
 @dataclass(frozen=True)
 class CampaignOptions(FunctionOptions):
-    """Options of `lt.campaign`."""
+    """Command-line options that become keyword arguments of the Python function `lt.campaign`."""
 
     jobs: Annotated[
         int,
@@ -203,7 +203,7 @@ MIN_TRIALS_FOR_SEVERAL_PROCESSES = 100
 
 @dataclass(frozen=True)
 class RecoverOptions(FunctionOptions):
-    """Options of `lt.recover`."""
+    """Command-line options that become keyword arguments of the Python function `lt.recover`."""
 
     trials: Annotated[int, bounded_option("trials", "Number of simulated recordings, at least two.", "-n")] = 200
     method: Annotated[
@@ -257,8 +257,8 @@ class RecoverOptions(FunctionOptions):
         choice_option(
             "errors",
             ("drawn", "stated"),
-            "Instrument errors that are drawn from the prior, or given by the scenario; default stated if the "
-            "scenario gives any.",
+            "Instrument errors that are drawn from the prior distribution of the instrument parameters, or given by "
+            "the scenario; default stated if the scenario gives any.",
         ),
     ] = None
     seed: Annotated[

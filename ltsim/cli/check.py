@@ -326,7 +326,7 @@ def uncertainty(
 def _data_of_tasks(
     terminal: Terminal, tasks: Tasks, file: Path, seed: int, *, source_is_in_file: bool
 ) -> Recording | EpochCoordinates | Path:
-    """Data that the tasks evaluate: recording, simulated recording of a scenario, list of coordinates, or a path.
+    """Data that the tasks evaluate: recording, simulated recording of a scenario, coordinates, or path of a result.
 
     `file` is the task file, `seed` that of the simulation. `source_is_in_file` is True if the task file names the
     source; its path is then relative to that file.

@@ -32,7 +32,7 @@ OutputFormatOption = Annotated[
 
 @dataclass(frozen=True)
 class ConvertOptions(FunctionOptions):
-    """Options of `lt.convert`."""
+    """Command-line options that become keyword arguments of the Python function `lt.convert`."""
 
     every: Annotated[
         int,

@@ -30,7 +30,7 @@ CATALOGUE_CONVENTIONS_TEXT = (
     "between the residuals that two effects cause in the reference workshop. Two numbers are for measurements in one\n"
     "face and in two faces, as in (0.46, 0.95)."
 )
-"""PossibleCause of the signs, symbols and correlations in a catalogue entry, which is printed after the entry."""
+"""Explanation of the signs, symbols and correlations in a catalogue entry of an effect, printed after the entry."""
 
 
 def effects(name: EffectNameArgument = None, *, terminal: Terminal) -> None:

@@ -20,20 +20,21 @@ from ltsim.cli.options import (
 
 @dataclass(frozen=True)
 class CheckOptions(FunctionOptions):
-    """Options of `lt.check`."""
+    """Command-line options that become keyword arguments of the Python function `lt.check`."""
 
     level: Annotated[
         float,
         bounded_option(
             "level",
-            "Probability of at least one false alarm in the whole recording, if noise and specification are correct.",
+            "Probability of a false alarm in the whole recording, for the declared noise and a tracker within "
+            "specification.",
         ),
     ] = 0.01
 
 
 @dataclass(frozen=True)
 class AdjustOptions(FunctionOptions):
-    """Options of `lt.adjust`."""
+    """Command-line options that become keyword arguments of the Python function `lt.adjust`."""
 
     robust: Annotated[
         bool,
@@ -50,7 +51,7 @@ class AdjustOptions(FunctionOptions):
     datum: Annotated[
         str | None,
         name_list_option(
-            "datum", "Targets that define the datum by inner constraints. Default: the selection in the set-up."
+            "datum", "Targets that define the datum by inner constraints. Default: the selection in setup.toml."
         ),
         split_names,
     ] = None
@@ -58,17 +59,17 @@ class AdjustOptions(FunctionOptions):
 
 @dataclass(frozen=True)
 class CalibrateOptions(FunctionOptions):
-    """Options of `lt.calibrate`."""
+    """Command-line options that become keyword arguments of the Python function `lt.calibrate`."""
 
     method: Annotated[
         str,
         choice_option(
             "method",
             ("network", "distance", "distance-l1", "equation-9", "equation-9-l1"),
-            "Rigorous network adjustment (network); minimum of the paper's distance objective over the "
-            "determined combinations of parameters, by least squares (distance) or least absolute deviations "
-            "(distance-l1); or its minimum over all parameters, which fits undetermined combinations to the "
-            "noise (equation-9, equation-9-l1).",
+            "Rigorous network adjustment (network); or agreement of distances between targets as measured from several "
+            "stations (Sensors 2021, 21, 7479), for the determined combinations of parameters, by least squares "
+            "(distance) or least absolute deviations (distance-l1); or for all parameters, which fits undetermined "
+            "combinations to the noise (equation-9, equation-9-l1).",
         ),
     ] = "network"
     construction: Annotated[
@@ -77,8 +78,8 @@ class CalibrateOptions(FunctionOptions):
             "construction",
             ("misalignment", "dh", "steering-mirror"),
             "Misalignments with the source in the head (misalignment, 16 parameters) or with a steering mirror "
-            "(steering-mirror, 21), or the paper's Denavit-Hartenberg chain (dh, 78); default: the model "
-            "declared in the set-up.",
+            "(steering-mirror, 21), or the Denavit-Hartenberg chain of Sensors 2021, 21, 7479 (dh, 78); default: the "
+            "model declared in setup.toml.",
         ),
     ] = None
     robust: Annotated[bool, typer.Option("--robust", help="Options of adjust, for method network only.")] = False
@@ -114,9 +115,9 @@ class CalibrateOptions(FunctionOptions):
         typer.Option(
             "--prior",
             metavar="FILE|none",
-            help="Estimates of earlier calibrations with their covariance, in place of the prior of the set-up. With "
-            "none there is no prior, and the readings alone determine the shrinkage of the correction. For "
-            "method network only.",
+            help="Estimates of earlier calibrations with their covariance, in place of the prior in setup.toml. The "
+            "value none means no prior: the readings alone determine how far the correction is shrunk. For method "
+            "network only.",
         ),
     ] = None
     harmonics: Annotated[
@@ -148,10 +149,10 @@ class CalibrateOptions(FunctionOptions):
         typer.Option(
             "--with",
             metavar="EFFECT[:WHERE,...]",
-            help="Effects of the catalogue that are also estimated, NAME or NAME:WHERE,... with stations, targets, "
-            "and shape parameters such as law=visit in the effect's units; the readings determine those not "
-            "given. Laws have the form that a diagnosis reports, vertical index ~ time:S3. Several can be given. "
-            "For method network only.",
+            help="Physical effects that are also estimated: NAME (from ltsim effects) or NAME:WHERE,... with stations, "
+            "targets, and shape parameters such as law=visit in the effect's units; the readings determine those not "
+            "given. Empirical laws, which describe changes of the readings by functions such as vertical index ~ "
+            "time:S3, are given as a diagnosis reports them. Several can be given. For method network only.",
         ),
         tuple,
     ] = None
@@ -159,16 +160,20 @@ class CalibrateOptions(FunctionOptions):
 
 @dataclass(frozen=True)
 class DiagnoseOptions(FunctionOptions):
-    """Options of `lt.diagnose`."""
+    """Command-line options that become keyword arguments of the Python function `lt.diagnose`."""
 
     level: Annotated[
         float,
-        bounded_option("level", "False-alarm rate of the whole search on a recording without effects, at least 0.001."),
+        bounded_option(
+            "level",
+            "False-alarm rate: probability that a recording without unmodelled effects is reported, at least 0.001.",
+        ),
     ] = 0.05
     seed: Annotated[
         int,
         bounded_option(
-            "seed", "Seed of the random draws of simulated recordings, from which the p-value of the search follows."
+            "seed",
+            "Seed of the random draws of simulated recordings, from which the p-value of the recording is computed.",
         ),
     ] = 0
     history: Annotated[
@@ -185,7 +190,7 @@ class DiagnoseOptions(FunctionOptions):
 
 @dataclass(frozen=True)
 class HistoryOptions(FunctionOptions):
-    """Options of `lt.history`."""
+    """Command-line options that become keyword arguments of the Python function `lt.history`."""
 
     instrument: Annotated[
         str | None,
@@ -214,13 +219,14 @@ class HistoryOptions(FunctionOptions):
 
 @dataclass(frozen=True)
 class CompareOptions(FunctionOptions):
-    """Options of `lt.compare`."""
+    """Command-line options that become keyword arguments of the Python function `lt.compare`."""
 
     stable: Annotated[
         str | None,
         name_list_option(
             "stable",
-            "Names of points that are certain not to have moved; they are not tested. Default: determined by the test.",
+            "Names of points that are certain not to have moved; they are not tested. By default "
+            "the test determines which points are stable.",
         ),
         split_names,
     ] = None
@@ -267,14 +273,14 @@ class CompareOptions(FunctionOptions):
 
 @dataclass(frozen=True)
 class UncertaintyOptions(FunctionOptions):
-    """Options of `lt.uncertainty`."""
+    """Command-line options that become keyword arguments of the Python function `lt.uncertainty`."""
 
     seed: Annotated[int | None, bounded_option("seed", "Seed of all random draws; default from the task file.")] = None
 
 
 @dataclass(frozen=True)
 class BenchOptions(FunctionOptions):
-    """Options of `lt.bench`."""
+    """Command-line options that become keyword arguments of the Python function `lt.bench`."""
 
     probe_direction: Annotated[
         float,

@@ -189,7 +189,7 @@ def _report_interruption(remark: str = "no partial file remains") -> int:
 
 
 def _report_failure(error: Exception) -> int:
-    """Exit status after an error that is no LtsimError, which is printed.
+    """Exit status after the output of an error that is no LtsimError.
 
     It is an internal error, an output that cannot be written (disk full), or a path that no file can have.
     """

@@ -33,7 +33,7 @@ def option_flag(argument_name: str) -> str:
 
 
 def bounded_option(argument_name: str, help_text: str, *short_flags: str) -> Any:
-    """Option whose value is a number within the bounds of the argument."""
+    """Option of a command whose value is a number within the bounds that `ARGUMENT_BOUNDS` has for `argument_name`."""
     return typer.Option(
         option_flag(argument_name),
         *short_flags,
@@ -44,7 +44,7 @@ def bounded_option(argument_name: str, help_text: str, *short_flags: str) -> Any
 
 
 def choice_option(argument_name: str, choices: Sequence[str], help_text: str) -> Any:
-    """Option whose value is one of `choices`."""
+    """Option of a command whose value is one of `choices`."""
 
     def parse_choice(text: str) -> str:
         check_argument_choice(argument_name, text, choices)
@@ -60,7 +60,7 @@ def choice_option(argument_name: str, choices: Sequence[str], help_text: str) ->
 
 
 def name_list_option(argument_name: str, help_text: str) -> Any:
-    """Option whose value is a comma-separated list of names."""
+    """Option of a command whose value is a comma-separated list of names."""
     return typer.Option(option_flag(argument_name), metavar="NAME,...", help=help_text)
 
 
@@ -161,7 +161,7 @@ class ReadingOptions:
 
 @dataclass(frozen=True)
 class ReadingOptionsWithControl(ReadingOptions):
-    """Options of a command for reading a recording, with a file of control points."""
+    """Options of a command for reading a recording and a file of control points (targets with known coordinates)."""
 
     control: ControlFileOption = None
 
@@ -255,7 +255,7 @@ class FunctionOptions:
 
 @dataclass(frozen=True)
 class PairParser:
-    """Conversion of repeated `NAME=VALUE` texts of an option to a mapping."""
+    """Parser for an option that the user repeats with `NAME=VALUE` texts; the result is a mapping of name to value."""
 
     argument_name: str
     parse_value: Callable[[str], Any]
@@ -291,7 +291,11 @@ def parse_toml_value(text: str) -> Any:
 
 
 def with_datum_in_frame(recording: Recording, frame: Path) -> Recording:
-    """Recording whose datum is in the frame of a file or of a built-in scenario; raises RecordError or InputError."""
+    """Copy of `recording` whose adjustment has the coordinate frame that `frame` defines.
+
+    `frame` is a list of points, a TOML file with three targets that define the axes, or a scenario (file or built-in
+    name). Raises RecordError or InputError.
+    """
     from ltsim.adjustment.axes import with_axes_from_points, with_axes_from_three_targets
     from ltsim.recordings.coordinates import read_points
     from ltsim.recordings.settings import read_toml

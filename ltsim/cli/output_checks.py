@@ -191,11 +191,11 @@ class _UnchangedOutput(NamedTuple):
     """Marker for an output that exists already with the content to be written, so that it is not written again."""
 
     returned_value: Any
-    """Value that the writing function returned."""
+    """Return value of the function that would have written the output."""
 
 
 def _unchanged_output(path: Path, write: Callable[[Path], Any]) -> _UnchangedOutput | None:
-    """Marker with the return value of `write` if the output exists with the same content; None for a new output.
+    """Marker, with the return value of `write`, that the output exists with the same content; None for a new output.
 
     Raises RecordError if the output exists with other content.
     """

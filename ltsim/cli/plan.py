@@ -64,14 +64,14 @@ BEST_LAYOUT_SO_FAR_FILE = "best-so-far.toml"
 FLOOR_PLAN_FILE = "floor.png"
 """Name of the picture file with the floor plan."""
 TRADE_OFF_FILE = "tradeoff.png"
-"""Name of the picture file with the trade-off curve of quality over duration."""
+"""Name of the picture file with the trade-off curve: objective of the layout against duration of the measurement."""
 WORK_ORDER_FILE = "work-order.html"
 """Name of the HTML file with the work order for the shop floor."""
 
 
 @dataclass(frozen=True)
 class PlanOptions(FunctionOptions):
-    """Options of `lt.plan`."""
+    """Command-line options that become keyword arguments of the Python function `lt.plan`."""
 
     starts: Annotated[
         int | None, bounded_option("starts", "Number of independent searches; default from the plan file.")
@@ -160,7 +160,7 @@ def plan(
 
 
 def _print_station_alternatives(terminal: Terminal, source: str, alternatives: Sequence[StationAlternative]) -> None:
-    """Output of other positions for a station, and of the command that moves the station to the best of them.
+    """Output of alternative positions for a station, and of the command that moves it to the best position.
 
     `source` is the plan of which the station is a part.
     """

@@ -63,8 +63,9 @@ InjectedEffectsArgument = Annotated[
     list[str],
     typer.Argument(
         metavar="EFFECT...",
-        help="Effects of the catalogue, or laws as 'RESPONSE ~ REGRESSOR'. After a colon, give stations, targets and "
-        "NAME=VALUE of constants and parameters, with commas between: range-step:S3,range-step=50. Values that are not "
+        help="Effects of the catalogue, or laws (changes of a reading as a function of a variable) written as "
+        "'RESPONSE ~ REGRESSOR', such as 'vertical index ~ time'. After a colon, give stations, targets and NAME=VALUE "
+        "of constants and parameters, with commas between: range-step:S3,range-step=50. Values that are not "
         "given are drawn at random.",
     ),
 ]
@@ -90,7 +91,7 @@ DetectionCurveOption = Annotated[
 
 @dataclass(frozen=True)
 class SimulateOptions(FunctionOptions):
-    """Options of `lt.simulate`."""
+    """Command-line options that become keyword arguments of the Python function `lt.simulate`."""
 
     seed: Annotated[
         int, bounded_option("seed", "Seed of all random draws: equal seed and trial give the same recording.")
@@ -145,7 +146,7 @@ def simulate(
 
 
 def _complete_scenario_text(scenario: str) -> str:
-    """Text of a scenario with all keys: the commented file of a built-in one, other files with defaults added."""
+    """Text of a scenario with all keys: the commented file of a built-in scenario, or a file with defaults added."""
     text = builtin_text(scenario) if scenario in builtin_names() else ""
     if text and "\nbase = " not in text:
         return text
@@ -156,7 +157,7 @@ def _complete_scenario_text(scenario: str) -> str:
 
 @dataclass(frozen=True)
 class InjectOptions(FunctionOptions):
-    """Options of `lt.inject`."""
+    """Command-line options that become keyword arguments of the Python function `lt.inject`."""
 
     noncentrality: Annotated[
         float | None,
@@ -275,7 +276,7 @@ method = "distance"
 
 @dataclass(frozen=True)
 class DemoOptions(FunctionOptions):
-    """Options of `lt.simulate`."""
+    """Command-line options of `ltsim demo` that become keyword arguments of the Python function `lt.simulate`."""
 
     seed: Annotated[
         int, bounded_option("seed", "Seed of all random draws: equal seed and trial give the same recording.")
@@ -310,7 +311,7 @@ def demo(
 
 
 def simulate_workshop(demo_folder: Path, seed: int) -> str:
-    """Text on the size of a simulated recording of the paper's workshop, which is written with its true values."""
+    """Text on the size of a recording of the scenario `paper-workshop`, which is simulated and written to files."""
     recording, truth = lt.simulate("paper-workshop", seed=seed)
     lt.write(recording, demo_folder / "workshop" / "recording")
     lt.write(truth, demo_folder / "workshop" / "truth.json")
@@ -321,7 +322,7 @@ def simulate_workshop(demo_folder: Path, seed: int) -> str:
 
 
 def calibrate_workshop(demo_folder: Path, seed: int) -> str:
-    """Summary of the calibration from the recording of `simulate_workshop`, which is written to a file."""
+    """Summary of a calibration from the recording of `simulate_workshop`; the calibration is written to a file."""
     from ltsim.reports.sections import result_section
 
     recording, _ = lt.simulate("paper-workshop", seed=seed)
@@ -347,7 +348,7 @@ def diagnose_injected_effect(demo_folder: Path, seed: int) -> str:
 def run_demo_campaign(demo_folder: Path, seed: int) -> str:
     """Summary of a campaign that calibrates 500 simulated instruments with two methods.
 
-    The methods are the network adjustment and the paper's method of distances between reflectors.
+    The methods are the network adjustment and the minimum of the distance objective of Sensors 2021, 21, 7479.
     """
     from ltsim.reports.sections.campaign import campaign_section
 
@@ -369,7 +370,9 @@ DEMO_STEPS: dict[str, Callable[[Path, int], str]] = {
     "inject a fault into another recording, and diagnose this recording": diagnose_injected_effect,
     "write one page about all results": write_demo_page,
 }
-"""Steps of the demonstration in order: title, and function of folder and seed that returns a text on the outcome."""
+"""Steps of the demonstration in order: title, and function of output folder and random seed that returns a text on the
+outcome.
+"""
 DEMO_OUTPUTS = {
     "workshop/recording": RECORDING_OUTPUT,
     "workshop/truth.json": NEW_FILE_OUTPUT,

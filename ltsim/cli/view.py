@@ -67,7 +67,7 @@ DateOption = Annotated[str | None, typer.Option("--date", metavar="YYYY-MM-DD", 
 
 @dataclass(frozen=True)
 class ViewOptions(FunctionOptions):
-    """Options of `lt.view`."""
+    """Command-line options that become keyword arguments of the Python function `lt.view`."""
 
     cad: Annotated[
         str | None,
@@ -174,7 +174,7 @@ def _has_display() -> bool:
 
 @dataclass(frozen=True)
 class ReportOptions(FunctionOptions):
-    """Options of `lt.report`."""
+    """Command-line options that become keyword arguments of the Python function `lt.report`."""
 
     recording: Annotated[
         str | None,

@@ -58,7 +58,10 @@ def check_argument_bounds(*, required_argument: str = "", **argument_values: obj
 
 
 def bounded_number_parser(argument_name: str) -> Callable[[object], int | float]:
-    """Function that converts a command-line argument to a number; it raises InputError for a number out of range."""
+    """Function that converts a command-line argument to a number within its range in `ARGUMENT_BOUNDS`.
+
+    Raises InputError for a number out of range.
+    """
     kind = int if isinstance(ARGUMENT_BOUNDS[argument_name][0], int) else float
 
     def parse_bounded(text: object) -> int | float:

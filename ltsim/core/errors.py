@@ -102,7 +102,7 @@ FLAG_BY_ARGUMENT_NAME = {
     "with_effects": "--with", "scaled": "--scale", "hints": "--hint", "changes": "--set",
     "calibrate=False": "--no-calibrate",
 }  # fmt: skip
-"""Command-line flag of each Python argument whose flag has another name."""
+"""Command-line flag of each Python argument whose flag is not its name with hyphens in place of underscores."""
 
 
 @contextmanager

@@ -14,9 +14,9 @@ from tempfile import TemporaryDirectory
 
 @contextmanager
 def without_settings_file(file_name: str) -> Iterator[bool]:
-    """Context in which the working folder has no file `file_name`; its value is True if the folder has one before.
+    """Context in which the working folder has no file `file_name`; it yields True if there was such a file before.
 
-    If it has, the working folder is an empty temporary folder meanwhile, for all threads of this process.
+    If there was, the working folder is an empty temporary folder meanwhile, for all threads of this process.
     """
     is_present = os.path.lexists(file_name)
     if not is_present:

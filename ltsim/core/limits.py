@@ -54,9 +54,10 @@ MAX_NETWORK_SETUPS = 500
 the number of pairs of set-up and target, and of pairs of set-ups. The largest measured networks have hundreds of
 set-ups."""
 MAX_DIAGNOSED_POINTINGS = 8_000
-"""Largest number of pointings of a network that is diagnosed. The diagnosis of a misfit takes 24 s of processor time
-and 310 MB with 2,000 pointings, and 115 s and 0.85 GB with 8,000. A ring of 210 set-ups (3,360 pointings) takes 30 to
-95 s and 450 to 530 MB. Other processes ran during these measurements."""
+"""Largest number of pointings of a network that is diagnosed. The diagnosis of a recording that contradicts its model
+takes 24 s of processor time and 310 MB with 2,000 pointings, and 115 s and 0.85 GB with 8,000. A ring of 210 set-ups
+(3,360 pointings) takes 30 to 95 s and 450 to 530 MB. Other processes ran during these measurements.
+"""
 MAX_SIMULATED_POINTINGS = 300_000
 """Largest number of pointings of a simulated recording; each takes 1 kB and 30 us."""
 MAX_CAMPAIGN_POINTINGS = 15_000
@@ -105,8 +106,8 @@ MAX_RESULT_TEXT_CHARACTERS = 20_000
 """Largest number of characters of a text in a result file; the longest that ltsim writes has 1,000, without texts of
 the user."""
 MAX_RESULT_MEAN_TEXT_CHARACTERS = 10
-"""Largest mean number of characters of the texts of a result file that has the largest permitted number of texts; the
-product of both limits is the largest number of characters of all texts.
+"""Largest mean number of characters of the texts of a result file that has the largest permitted number of texts; its
+product with `MAX_RESULT_TEXTS` is the largest number of characters of all texts.
 """
 
 MAX_UNCERTAINTY_TASK_RESULTS = 1_000
@@ -115,7 +116,7 @@ correlation of each pair of results and may have at most `MAX_JSON_VALUES` value
 result take 80 kB, and are in memory four times."""
 MAX_ADDITIONAL_EFFECTS = 200
 """Largest number of effects in an uncertainty budget (type B), and of effects that a calibration method of a campaign
-estimates. Each effect is linearised for all pointings. The catalogue has 60.
+estimates. Each effect is linearised for all pointings. The catalogue of effects has 60.
 """
 MAX_EFFECTS_TIMES_POINTINGS = 60_000
 """Largest product of the numbers of effects that are estimated together and of pointings. In a calibration an effect

@@ -103,7 +103,7 @@ def _blocked_interrupts() -> Iterator[None]:
 
 
 def _start_worker(parent_process_id: int) -> None:
-    """Start of a worker process: Ctrl-C is left to the parent process, with which the worker ends.
+    """Start of a worker process, which ignores Ctrl-C and ends when the process `parent_process_id` ends.
 
     Programs that the worker starts receive Ctrl-C as usual, because only a handler is replaced.
     """

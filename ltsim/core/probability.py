@@ -9,8 +9,9 @@ TWO_SIDED_GLOBAL_TEST_LEVEL = 0.02
 """Significance level of the two-sided global test (chi-square), 1 % on each side: readings and model disagree if the
 two-sided p-value is smaller."""
 PRIOR_BY_RELATIVE_EFFECT_SIZE = {0.03: 0.15, 0.1: 0.2, 0.3: 0.25, 1.0: 0.22, 3.0: 0.13, 10.0: 0.05}
-"""Prior probability of each size of an unmodelled effect. The keys are ratios of the size to the typical size of the
-effect, which the catalogue declares."""
+"""Prior probability of each size of an effect that the adjustment does not model. The keys are ratios of the size to
+the typical size of the effect, which the catalogue of effects declares.
+"""
 PRIOR_OF_WRONG_INSTRUMENT_CONSTANT = 0.04
 """Prior probability that a misfit is caused by a wrong instrument constant, such as the additive constant of the
 ranges."""

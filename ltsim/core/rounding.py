@@ -8,8 +8,11 @@ differences. Numbers with a smaller relative difference count as equal. A quadra
 smaller relative step."""
 NORMAL_EQUATIONS_TOLERANCE = 1e-6
 """Largest relative rounding error of numbers computed from normal equations, such as redundancy numbers and log
-evidences. Smaller numbers count as zero. The limit exceeds `SQRT_MACHINE_EPSILON` because the condition number of
-normal equations is the square of that of the design matrix."""
+evidences (logarithms of marginal likelihoods). Smaller numbers count as zero. The limit exceeds `SQRT_MACHINE_EPSILON`
+because the condition number of normal equations is the square of that of the design matrix.
+"""
 MAX_LOG_EVIDENCE_ROUNDING_ERROR = 1e-3
-"""Largest difference of two log evidences in single precision that count as equal: the spacing of single-precision
-numbers near 10,000. An effect of 140 standard deviations has a log evidence of this size."""
+"""Largest difference of two log evidences (logarithms of marginal likelihoods) in single precision that count as equal:
+the spacing of single-precision numbers near 10,000. An effect of 140 standard deviations has a log evidence of this
+size.
+"""

@@ -123,7 +123,7 @@ def open_for_reading(path: Path) -> BufferedReader:
 
 
 def read_whole_file(path: Path) -> bytes:
-    """Content of a file of any size; raises OSError like `open_for_reading`."""
+    """Content of a file of any size; raises OSError if it cannot be opened, and for a folder, pipe or device."""
     with open_for_reading(path) as stream:
         return stream.read()
 

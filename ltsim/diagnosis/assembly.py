@@ -61,9 +61,10 @@ def assemble_diagnosis(
 
     `recording_entry` identifies the recording, and `detectability` has the smallest detectable sizes of effects.
     `test_findings` are findings that need no search, such as blunders. `final_adjustment` is the adjustment with the
-    selected model, or without it if the former did not converge. `held_out_errors` are prediction errors of held-out
-    readings. `cause_selection` has the simple causes that the adjustment identified before the search, None without
-    them. `is_mismatch` is True if the global test rejects the agreement of readings and model.
+    selected model, or without this model if the adjustment with it did not converge. `held_out_errors` are prediction
+    errors of held-out readings. `cause_selection` has the simple causes that the adjustment identified before the
+    search for effects, None without them. `is_mismatch` is True if the global test rejects the agreement of readings
+    and model.
     """
     state, model, global_test = model_fit.selection_state, model_fit.model, model_fit.global_test
     baseline, adjusted = state.baseline_adjustment, model_fit.refit.adjustment
@@ -136,11 +137,11 @@ def _reported_findings(
 def _averaged_targets_and_reading_change(
     model_fit: SelectedModelFit, shift_findings: Sequence[Finding], noise_findings: Sequence[Finding]
 ) -> tuple[AveragedTargets, Floats]:
-    """Averaged target coordinates, and averaged change (n, 3) of the readings of n pointings minus that by the refit.
+    """Target coordinates and changes (n, 3) of the readings of n pointings, averaged over the possible causes.
 
-    The averages are over the possible causes of each finding. `shift_findings` are findings of effects that shift
-    readings, `noise_findings` those on the noise. If no cause is more probable than not, the coordinates are those of
-    the ordinary adjustment. The unit of the change is [m, rad, rad].
+    The change of the readings by the nonlinear refit is subtracted from the averaged change. `shift_findings` are
+    findings of effects that shift readings, `noise_findings` those on the noise. If no cause is more probable than not,
+    the coordinates are those of the ordinary adjustment. The unit of the change is [m, rad, rad].
     """
     state = model_fit.selection_state
     targets, change = average_over_explanations(
@@ -160,8 +161,9 @@ def _noise_finding(
 ) -> Finding:
     """Finding that reports a selected noise hypothesis, limited to the observables whose noise differs significantly.
 
-    `global_test` gives its p-value. `has_clock` is True if the recording has times, so that intervals of time are texts
-    of times and not of rows.
+    `global_test` has the p-value of the finding. `has_clock` is True if the recording has times, so that intervals of
+    time are texts of times and not of rows. A noise hypothesis says that the noise of some readings differs from the
+    declared noise.
     """
     effect = hypothesis.effect
     scope = effect_scope(effect, _observables_with_changed_noise(hypothesis, sightings))
@@ -208,7 +210,7 @@ def _noise_finding(
 def _observables_with_changed_noise(hypothesis: NoiseHypothesis, sightings: Sightings) -> tuple[str, ...]:
     """Names of the observables whose noise is significantly larger than declared.
 
-    If the largest change is a decrease, they are those whose noise is significantly smaller than declared.
+    If the largest change of the noise is a decrease, the observables with significantly smaller noise are returned.
     """
     plausible_sizes = hypothesis.effect.plausible_sizes
     sizes_in_units = np.array(hypothesis.sizes) / plausible_sizes

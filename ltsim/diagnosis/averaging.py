@@ -38,11 +38,11 @@ from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.variance import VarianceFunction
 
 MAX_RELATIVE_COORDINATE_ERROR_INCREASE = 0.05
-"""Relative increase of the coordinate error that a correction for an empirical law may cause. A larger increase is
-permitted only with the probability `MAX_PROBABILITY_OF_LARGER_ERROR_INCREASE`."""
+"""Relative increase of the coordinate error that a correction for an empirical law (error as a function of covariates)
+may cause. A larger increase is permitted only with the probability `MAX_PROBABILITY_OF_LARGER_ERROR_INCREASE`."""
 MAX_PROBABILITY_OF_LARGER_ERROR_INCREASE = 0.03
-"""Largest permitted probability that a correction for an empirical law increases the coordinate error by more than the
-fraction `MAX_RELATIVE_COORDINATE_ERROR_INCREASE`."""
+"""Largest permitted probability that a correction for an empirical law (error as a function of covariates) increases
+the coordinate error by more than the fraction `MAX_RELATIVE_COORDINATE_ERROR_INCREASE`."""
 MIN_PROBABILITY_OF_AVERAGED_EXPLANATION = 0.003
 """Smallest probability of an explanation (possible cause of the residuals) in the averaged coordinates. Less probable
 explanations are left out to limit the computing time."""
@@ -113,7 +113,8 @@ def _max_subtracted_fraction_of_target_shifts(
     """Largest fraction of a shift of the targets that can be subtracted with a small risk of larger coordinate errors.
 
     `target_shifts` (T, 3) [m] are the shifts of T targets. `weighted_deviations_by_explanation` (k, T, 3) [m] are the
-    weighted differences of the shifts by each of k possible causes from their mean.
+    differences of the shifts by each of k possible causes from their mean, multiplied by the square root of the
+    probability of the cause.
     """
     problem, points = adjustment.problem, np.nan_to_num(adjustment.state.target_points)
     shift = remove_rigid_motion(
@@ -179,8 +180,10 @@ def alternative_probabilities_and_reading_changes(
     """Probabilities (k,) of k possible causes, and the change (k, m) of m whitened readings by each cause.
 
     The first cause is the effect `selected_hypothesis`, the last one is no effect. Noise hypotheses shift no reading,
-    so that their probabilities are added to the last one. `reduced_model` is the model without the selected effect, and
-    `ranking` contains its alternatives. Log evidences are divided by `temperature`.
+    so that their probabilities are added to that of no effect. `reduced_model` is the model without the selected
+    effect, and `ranking` contains its alternatives. Log evidences are divided by `temperature`; a value above 1 makes
+    the probabilities more equal. A noise hypothesis says that the noise of some readings differs from the declared
+    noise.
     """
     none, *rest_of = normalised_probabilities(
         np.array([ranking.log_evidence_of_no_cause, *(h.log_evidence for h in ranking.hypotheses)]) / temperature
@@ -208,14 +211,16 @@ def reading_change_by_combined_hypotheses(
     ranking: HypothesisRanking,
     temperature: float,
 ) -> Floats:
-    """Posterior mean (m,) of the change of m whitened readings by an empirical law whose form is uncertain.
+    """Posterior mean (m,) of the change of m whitened readings by an empirical law with an uncertain function.
 
     The true function of the covariates is hardly ever one of the hypotheses; it is near several of them. The prior of
     the change is therefore one normal distribution. Its covariance is the mean of the covariances of the hypotheses
     that change the same observables as `selected_hypothesis`, weighted by their probabilities. This is the covariance
-    of the mixture of their priors. Log evidences are divided by `temperature`. `reduced_model` is the model without the
-    selected hypothesis, and `ranking` contains its alternatives. The number of combined hypotheses is limited to those
-    with a probability above `MIN_PROBABILITY_OF_AVERAGED_EXPLANATION`, and by the memory for their design matrices.
+    of the mixture of their priors. Log evidences are divided by `temperature`; a value above 1 makes the probabilities
+    more equal. `reduced_model` is the model without the selected hypothesis, and `ranking` contains its alternatives.
+    The number of combined hypotheses is limited to those with a probability above
+    `MIN_PROBABILITY_OF_AVERAGED_EXPLANATION`, and by the memory for their design matrices. An empirical law describes
+    an error as a function of covariates such as time.
     """
     space, basis = searcher.residual_space, reduced_model.projected_basis
     observables = set(selected_hypothesis.effect.observables)

@@ -42,7 +42,7 @@ MAX_LOCAL_OPTIMA_PER_CATALOGUE_EFFECT = 3
 """Largest number of local optima of a catalogue effect, over stations, targets and shape parameters, that are
 evaluated."""
 MAX_COMPARED_PLACES_AND_SHAPES = 40
-"""Number of variants of a catalogue effect with the largest evidence among which local optima are sought."""
+"""Number of variants (places, shape parameters) of an effect among which local optima of the evidence are sought."""
 ORDINARY_CALIBRATION_EFFECT_TYPES = tuple(type(effect) for effect in ORDINARY_CALIBRATION_EFFECTS)
 """Effect classes of the ordinary calibration, whose instrument constants every adjustment estimates. As a hypothesis,
 such an effect means that its instrument constants are larger than their prior permits."""
@@ -51,7 +51,7 @@ such an effect means that its instrument constants are larger than their prior p
 def catalogue_candidate_effects(sightings: Sightings, instruments: Sequence[str] = ()) -> list[CandidateEffect]:
     """Catalogue effects at all stations and targets, and instrument constants of each of several instruments.
 
-    `instruments` are the names of the instruments. Noise hypotheses are not included.
+    `instruments` are the names of the instruments. Effects on the noise are not included.
     """
     trackers = instrument_places(sightings, instruments)
     constants = [
@@ -78,16 +78,16 @@ class EffectDesignGroup:
     row_indices: Ints | slice
     """Indices (r,) of the r observation equations for which the design columns are stored."""
     transposed_designs: Floats32 | sp.csr_array
-    """Transposed design columns (h k, r) of h effects with k parameters on r observation equations, for plausible
-    sizes."""
+    """Transposed design columns (h k, r) of h effects with k parameters on r observation equations, in units of
+    plausible sizes."""
     row_factors: Floats32
     """Factors (r,) on the r stored observation equations, for an adjustment with other weights of the readings."""
     unprojected_gram: Floats
-    """Gram matrices (h, k, k) of the k design columns of each of h effects, before projection onto the residual
-    space."""
+    """Gram matrices (h, k, k) of the k design columns of each of h effects, before projection onto the residual space
+    (whitened equations projected off the unknowns)."""
     projected_gram: Floats
-    """Gram matrices (h, k, k) of the k design columns of each of h effects, projected onto the residual space without
-    effects; zeros before the first screening."""
+    """Gram matrices (h, k, k) of the k design columns of each of h effects, projected onto the residual space (whitened
+    equations projected off the unknowns) without effects; zeros before the first screening (approximate evaluation)."""
 
     def effect_ranges(self, n_vectors: int) -> Iterator[slice]:
         """Ranges of effects in the group whose products with `n_vectors` vectors fit into memory at the same time."""
@@ -145,13 +145,14 @@ class CatalogueDesigns:
     """
 
     effects: list[CandidateEffect]
-    """All h variants of catalogue effects that change at least one reading of the recording."""
+    """All h variants (places, shape parameters) of catalogue effects that change at least one reading of the
+    recording."""
     groups: list[EffectDesignGroup]
     """Groups of effects with the same number of parameters and the same form of storage (sparse or dense)."""
     family_names: tuple[str, ...]
-    """Names of the catalogue effects, one for each family (all variants of the effect)."""
+    """Names of the catalogue effects, one for each family (all places and shape parameters of the effect)."""
     family_indices: Ints
-    """Index (h,) of the family (catalogue effect) to which each of h variants belongs."""
+    """Index (h,) of the family (catalogue effect) to which each of h variants (places, shape parameters) belongs."""
     n_equations: int
     """Number m of observation equations."""
     reading_sigmas: Floats
@@ -159,13 +160,13 @@ class CatalogueDesigns:
 
     @cached_property
     def log_prior_by_family(self) -> Floats:
-        """Log prior probability (families,) of each catalogue effect, summed over all its variants."""
+        """Log prior probability (families,) of each catalogue effect, summed over its places and shapes."""
         return log_prior_by_base_rate("named", self.family_names)
 
     def log_prior_of_family(self, family_name: str) -> float:
-        """Log prior probability of the catalogue effect named `family_name`, summed over all its variants.
+        """Log prior probability of the catalogue effect named `family_name`, summed over its places and shapes.
 
-        It is defined also for effects that the search does not try, such as wrong readings in a large recording.
+        It is defined also for effects that are not tried, such as wrong readings in a large recording.
         """
         names = self.family_names if family_name in self.family_names else (*self.family_names, family_name)
         return float(log_prior_by_base_rate("named", names)[names.index(family_name)])
@@ -178,7 +179,7 @@ class CatalogueDesigns:
 
     @classmethod
     def from_residual_space(cls, space: ResidualSpace, effects: Sequence[CandidateEffect]) -> CatalogueDesigns:
-        """Design matrices of those of the given effects that change a reading; `space` is the residual space."""
+        """Design matrices of the `effects` that change a reading; `space` has the whitened equations."""
         touching: list[CandidateEffect] = []
         sparse_designs: dict[int, list[tuple[int, Ints, Floats32]]] = {}
         dense_designs: dict[tuple[int, tuple[bool, ...]], tuple[list[int], list[Floats32]]] = {}
@@ -229,7 +230,7 @@ class CatalogueDesigns:
     def with_weights_of(self, new_space: ResidualSpace) -> CatalogueDesigns:
         """Copy of the design matrices with the weights of another adjustment of the same readings.
 
-        Poses and coordinates are not updated, because other weights change them only slightly.
+        `new_space` has the whitened equations of that adjustment; its slightly different poses are not used.
         """
         ratio = np.ones(new_space.n_equations, dtype=np.float32)
         is_used = new_space.is_used_reading
@@ -238,13 +239,13 @@ class CatalogueDesigns:
         return replace(self, groups=groups, reading_sigmas=new_space.reading_sigmas)
 
     def screen(self, null_ensemble: NullEnsemble) -> tuple[Floats, Floats, CatalogueDesigns]:
-        """Log evidences (h,) of h effects, their null values (families, trials), and the screened designs.
+        """Approximate log evidences (h,) of h effects, null values (families, trials), and designs with Gram matrices.
 
-        The null values are log evidences in simulated recordings (trials) of the null ensemble, averaged over the
-        variants of each catalogue effect. The first screening computes the projected Gram matrices, which the screened
-        designs contain for later screenings. With a model, the design columns are also projected onto the complement of
-        its effects, which reduces their Gram matrices. A Monte-Carlo estimate of a Gram matrix is not reduced, because
-        the difference could vanish.
+        The null values are log evidences in simulated recordings without effects (trials), averaged over the variants
+        (places, shape parameters) of each catalogue effect (family). The first call computes the projected Gram
+        matrices, which the returned designs contain for later calls. If the ensemble has the effects of a model, their
+        part of the design columns is removed, which reduces the Gram matrices. Monte-Carlo estimates of Gram matrices
+        are not reduced.
         """
         values = np.zeros(len(self.effects))
         family_sums = FamilyEvidenceSums.empty(self.family_indices, len(self.family_names), null_ensemble.n_trials)
@@ -272,7 +273,7 @@ class CatalogueDesigns:
         return values, family_sums.log_mean_evidence_over_variants, replace(self, groups=screened_groups)
 
     def effects_grouped_by_family(self) -> list[list[Effect]]:
-        """Variants of each catalogue effect, without most effects of the ordinary calibration.
+        """Variants (places, shape parameters) of each effect, without most effects of the ordinary calibration.
 
         The range scale is included, because a network without a known length absorbs it completely. `calibrate` reports
         the other instrument constants.
@@ -288,7 +289,7 @@ class CatalogueDesigns:
         ]
 
     def local_optima(self, effect_indices: Ints, log_evidences: Floats) -> list[int]:
-        """Indices of the variant of an effect with the largest evidence, and of other local optima.
+        """Indices of the variant (place, shape parameters) of an effect with the largest evidence, and of other optima.
 
         `effect_indices` are the indices of the variants, sorted by decreasing `log_evidences` (h,) of all h effects.
         """
@@ -304,7 +305,7 @@ class CatalogueDesigns:
     def log_evidence_by_family(self, log_evidences: Floats) -> Floats:
         """Log evidence (f, ...) of f catalogue effects, averaged over the variants of each effect.
 
-        `log_evidences` (h, ...) are those of all h variants.
+        `log_evidences` (h, ...) are those of all h variants (places, shape parameters).
         """
         return (
             log_mean_exp_by_group(log_evidences, self.family_indices, len(self.family_names))
@@ -321,18 +322,17 @@ class FamilyEvidenceSums:
     """
 
     family_indices: Ints
-    """Index (h,) of the family (catalogue effect) to which each of h variants belongs."""
+    """Index (h,) of the family (catalogue effect) to which each of h variants (places, shape parameters) belongs."""
     log_sums: Floats
-    """Log (families, trials) of the summed evidence of the added variants, by effect and simulated recording
-    (trial)."""
+    """Log (families, trials) of the evidence summed over the added places and shapes of each effect, per simulation."""
 
     @classmethod
     def empty(cls, family_indices: Ints, n_families: int, n_trials: int) -> FamilyEvidenceSums:
-        """Sums for `n_families` catalogue effects without any variant, for `n_trials` simulated recordings."""
+        """Empty sums, before variants are added, for `n_families` effects in `n_trials` simulated recordings."""
         return cls(family_indices, np.full((n_families, n_trials), -np.inf))
 
     def with_effects(self, effect_indices: Ints, log_evidences: Floats) -> FamilyEvidenceSums:
-        """Sums after the addition of b effects with the indices `effect_indices` and `log_evidences` (b, trials)."""
+        """Sums with b effects added that have the indices `effect_indices` and `log_evidences` (b, trials)."""
         present, group = np.unique(self.family_indices[effect_indices], return_inverse=True)
         means = log_mean_exp_by_group(log_evidences, group, len(present))
         means += np.log(np.bincount(group))[:, None]
@@ -342,7 +342,7 @@ class FamilyEvidenceSums:
 
     @property
     def log_mean_evidence_over_variants(self) -> Floats:
-        """Log (families, trials) of the mean evidence of the variants of each effect in each simulation (trial)."""
+        """Log (families, trials) of the mean evidence of each effect over its places and shapes, per simulation."""
         return self.log_sums - np.log(np.bincount(self.family_indices, minlength=len(self.log_sums)))[:, None]
 
 

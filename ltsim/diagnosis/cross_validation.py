@@ -27,7 +27,7 @@ from ltsim.diagnosis.evidence import wide_prior_posterior
 from ltsim.diagnosis.search import Searcher
 
 N_CROSS_VALIDATION_FOLDS = 5
-"""Number of folds of the cross-validation, a usual value; each search uses 80 % of the readings."""
+"""Number of folds of the cross-validation, a usual value; each search for effects uses 80 % of the readings."""
 
 
 class HeldOutErrors(NamedTuple):
@@ -36,10 +36,11 @@ class HeldOutErrors(NamedTuple):
     rms_without_model: float | None = None
     """Rms error of held-out readings predicted by the ordinary adjustment; None if no reading can be predicted."""
     rms_with_model: float | None = None
-    """Rms error of held-out readings predicted with the effects that were selected without these readings; None without
-    a search, or if no reading can be predicted."""
+    """Rms error of held-out readings predicted with the effects that were selected without these readings; None if no
+    effects are searched for, or if no reading can be predicted."""
     log_score_gain: float = 0.0
-    """Increase of the log score (log density) of the held-out readings by the selected effects; 0 without a search."""
+    """Increase of the log score (log density) of the held-out readings by the selected effects; 0 if no effects are
+    searched for."""
     log_score_gain_sigma: float = 0.0
     """Standard error of `log_score_gain`, from its scatter between the pointings (Vehtari, Gelman and Gabry 2017,
     Statistics and Computing 27, 1413)."""
@@ -61,11 +62,12 @@ def cross_validated_errors(space: ResidualSpace, seed: int, searcher: Searcher |
     Parameters
     ----------
     space : ResidualSpace
-        Residual space of the adjustment; its standard deviations of the readings are the unit of the errors.
+        Whitened equations, projected off the unknowns (residual space), of the adjustment; its standard deviations of
+        the readings are the unit of the errors.
     seed : int
         Seed of the random folds.
     searcher : Searcher, optional
-        Search on the same readings. Without a search, `rms_with_model` of the result is None.
+        Search for effects in the same readings. Without a search, `rms_with_model` of the result is None.
     """
     before, after, count = np.zeros(len(space.sightings)), np.zeros(len(space.sightings)), 0
     groups, pointing = random_fold_row_indices(space, seed), np.nonzero(space.is_used_reading)[0]
@@ -114,7 +116,7 @@ def _normalised_errors_on_fold(residual: Floats, eigenvalues: Floats, eigenvecto
 
 
 def _reading_shift_by_selected_model(space: ResidualSpace, searcher: Searcher) -> Floats:
-    """Change (m,) of m whitened observations by the effects that a search selects; 0 for other observations."""
+    """Change (m,) of m whitened observations by the effects that `searcher` selects; 0 for others."""
     model = searcher.select_effects(requires_effect=True)
     if not model.hypotheses:
         return np.zeros(space.n_equations)

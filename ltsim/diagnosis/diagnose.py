@@ -188,8 +188,9 @@ def _state_without_blunders(
     level: float | None,
     readmitted_mask: Bools | None = None,
 ) -> tuple[SelectionState, list[Finding]]:
-    """State of the selection before a search, without blunders, and the findings on these blunders.
+    """State of the model selection before the search for effects, without blunders, and findings on the blunders.
 
+    `construction` is the geometric error model of the instruments, and `seed` the seed of simulated recordings.
     `selection` contains the simple causes of the network, blunders among them. With a `level` (false-alarm rate) the
     search has a p-value. With `tests_ordinary_constants` the search also tests changes of the instrument constants of
     the ordinary calibration. `readmitted_mask` (n, 3) flags readings of n pointings that count as blunders but are
@@ -233,10 +234,10 @@ def _has_effect_varying_constant(constant_name: str, effects: Sequence[Candidate
 def _search_and_refit(
     state: SelectionState, compare_with_reference: InstrumentConstantComparisonFunction, *, is_mismatch: bool
 ) -> tuple[SelectionState, EffectModel, Refit]:
-    """State of the selection after the search, the selected model, and the nonlinear refit of this model.
+    """State of the model selection after the search for effects, selected model, and nonlinear refit of this model.
 
-    If `is_mismatch` is False, no search is needed, and the model has no effects. `compare_with_reference` returns the
-    instrument constants that contradict their reference in an adjustment.
+    If `is_mismatch` is False, readings and ordinary model agree: no search is needed, and the model has no effects.
+    `compare_with_reference` returns the instrument constants that contradict their reference in an adjustment.
     """
     state, model = (
         select_noise_and_effects(state, compare_with_reference) if is_mismatch else (state, state.empty_model)
@@ -276,7 +277,7 @@ def _contradicting_constants_unexplained_by_model(
 def _refit_and_prune(state: SelectionState, model: EffectModel) -> tuple[EffectModel, Refit]:
     """Model without the effects that its nonlinear refit does not support, and the refit of this model.
 
-    The search is linear. The second-order part of a large effect can therefore look like a further effect.
+    The search for effects is linear. The second-order part of a large effect can therefore look like a further effect.
     """
     refit = state.refit(model.effects, state.reading_sigmas)
     while len(model.hypotheses) > 1:
@@ -311,8 +312,8 @@ def _has_specific_noise_hypothesis(selected_noise_hypotheses: Sequence[NoiseHypo
 def _held_out_errors(state: SelectionState, model: EffectModel, *, repeats_search: bool) -> HeldOutErrors:
     """Prediction errors of held-out readings, divided by the larger of the declared and the estimated noise.
 
-    The error with a model is computed only if `repeats_search`, by a search without each fold. If `model` has no
-    effects, it equals the error without a model.
+    The error with a model is computed only if `repeats_search`, by a search for effects without each fold. If `model`
+    has no effects, both errors are equal.
     """
     nominal = state.recording.reading_sigmas()
     space, seed = state.searcher.residual_space, state.seed

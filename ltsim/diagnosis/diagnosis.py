@@ -64,7 +64,8 @@ class DiagnosisArrays(ValueEquality):
     """Change (n, 3) [m, rad, rad] of the readings of n pointings, averaged over the possible causes of the misfit,
     minus their change by the refitted model."""
     variance_factors: Floats
-    """Factors (n, 3) on the declared variances of the readings of n pointings, averaged over the noise hypotheses."""
+    """Factors (n, 3) on the declared variances of the readings of n pointings, averaged over the noise hypotheses
+    (noise other than declared)."""
     baseline_adjustment: Adjustment
     """Ordinary adjustment, without the findings in its model."""
     final_adjustment: Adjustment
@@ -76,7 +77,7 @@ class Diagnosis(ResultFile):
 
     FILE: ClassVar[str] = "diagnosis.json"
     format: Literal["ltsim-diagnosis/1"] = "ltsim-diagnosis/1"
-    """Format and version of this file."""
+    """Format and version of the file `diagnosis.json`."""
     verdict: str
     """Verdict on the agreement of the recording with the ordinary model: `consistent` or `mismatch`."""
     summary: str
@@ -86,7 +87,8 @@ class Diagnosis(ResultFile):
     findings: tuple[Finding, ...] = ()
     """Unmodelled causes that explain the misfit, the largest decrease of chi-square first."""
     tests: tuple[CauseTest, ...] = ()
-    """Tests as in the results of `adjust` and `check`: simple causes that the readings support, and outliers."""
+    """Tests as in the results of `adjust` and `check`: simple causes (such as outliers or moved targets) that the
+    readings support, and outliers."""
     fit: MisfitBeforeAfter | None = None
     """Misfit of the adjustments without and with the findings in the model."""
     undetectable: tuple[UndetectableEntry, ...] = ()
@@ -231,7 +233,8 @@ class Diagnosis(ResultFile):
         """Number of estimated coefficients of all effects that shift readings.
 
         An empirical law with an estimated ratio of its w components has w - 1 further coefficients. If no effect shifts
-        readings, the result is the number of parameters of the findings.
+        readings, the result is the number of parameters of the findings. An empirical law describes an error as a
+        function of covariates such as time.
         """
         model = self.final_adjustment.problem.model
         ratios = sum(

@@ -63,8 +63,8 @@ def normalised_probabilities(log_probabilities: Floats) -> Floats:
 def simulated_log_evidence(scores: Floats, eigenvalues: Floats) -> Floats:
     """Log evidence (h, trials) of h hypotheses for each simulated recording (trial), computed in single precision.
 
-    `scores` (h, k, trials) are the products of k scaled design columns with the residuals, along the eigenvectors of
-    the scaled Gram matrix. `eigenvalues` (h, k) are the eigenvalues of this matrix.
+    `scores` (h, k, trials) are the products of k design columns, in units of plausible sizes, with the residuals, along
+    the eigenvectors of the Gram matrix of these columns. `eigenvalues` (h, k) are the eigenvalues of this matrix.
     """
     log_evidence_parts = [
         _log_sum_exp_in_place(logs, 1)
@@ -77,8 +77,8 @@ def simulated_log_evidence(scores: Floats, eigenvalues: Floats) -> Floats:
 def simulated_log_total_evidence(scores: Floats32, eigenvalues: Floats, log_prior: Floats) -> Floats:
     """Log (trials,) of the summed evidence of h hypotheses for each simulated recording (trial).
 
-    `log_prior` (h,) are the log prior probabilities of the hypotheses; `scores` and `eigenvalues` are as for
-    `simulated_log_evidence`.
+    `log_prior` (h,) are the log prior probabilities of the hypotheses; `scores` (h, k, trials) are products of k design
+    columns with residuals, along the eigenvectors of their Gram matrix, whose `eigenvalues` are (h, k).
     """
     flattened = scores.reshape(-1, *scores.shape[-2:]), eigenvalues.reshape(-1, scores.shape[-2])
     log_total_parts = [
@@ -92,7 +92,8 @@ def _simulated_log_evidence_batches(
 ) -> Iterator[Floats32]:
     """Iterator over batches of h hypotheses: log evidence with priors, (h, size factors, simulated recordings).
 
-    `log_prior` (h,) are the log prior probabilities; `scores` and `eigenvalues` are as for `simulated_log_evidence`.
+    `log_prior` (h,) are the log prior probabilities; `scores` (h, k, trials) are products of k design columns with
+    residuals, along the eigenvectors of their Gram matrix, whose `eigenvalues` are (h, k).
     """
     for part in batches(len(scores), scores.size // max(len(scores), 1)):
         weights, constants = score_weights_and_constants_by_size(eigenvalues[part])
@@ -147,7 +148,7 @@ def log_evidence_of_wrong_readings(
     Parameters
     ----------
     space : ResidualSpace
-        Residual space of the adjustment.
+        Whitened equations of the adjustment, projected off its unknowns (residual space).
     residual : (m,) float
         Whitened residuals of m observation equations, given the effects of a model.
     model_basis : (m, e) float
@@ -201,9 +202,9 @@ def log_evidence_of_coefficients(gram: Floats, score: Floats, plausible_sizes: F
     Parameters
     ----------
     gram : (..., k, k) float
-        Gram matrix of the projected design matrix.
+        Gram matrix of the design matrix, projected off the unknowns.
     score : (..., k) float
-        Product of the transposed design matrix with the residuals.
+        Product of the transposed projected design matrix with the residuals.
     plausible_sizes : (..., k) float
         Plausible sizes of the coefficients.
     """
@@ -221,8 +222,8 @@ def coefficient_posterior(
     """Posterior mean (k,), covariance (k, k) and log evidence of k coefficients, averaged over size factors t.
 
     The prior of a coefficient is N(0, (t size)^2) with its plausible size. The factors t are `size_factors`, and
-    `log_size_prior` are the logs of their prior weights. `gram` (k, k), `score` (k,) and `plausible_sizes` (k,) are as
-    in `log_evidence_of_coefficients`.
+    `log_size_prior` are the logs of their prior weights. `gram` (k, k) is the Gram matrix of the design columns, and
+    `score` (k,) their products with the residuals.
     """
     eigenvalues, eigenvectors = _scaled_eigen_decomposition(gram, plausible_sizes)
     z = eigenvectors.T @ score
@@ -245,8 +246,8 @@ def coefficient_posterior(
 def most_probable_size_factor(gram: Floats, score: Floats, plausible_sizes: Floats) -> float:
     """Factor t of `RELATIVE_EFFECT_SIZES` with the largest posterior probability, for k coefficients.
 
-    The prior of a coefficient is N(0, (t size)^2). `gram` (k, k), `score` (k,) and `plausible_sizes` (k,) are as in
-    `log_evidence_of_coefficients`.
+    The prior of a coefficient is N(0, (t size)^2). `gram` (k, k) is the Gram matrix of the design columns, and `score`
+    (k,) their products with the residuals.
     """
     eigenvalues, eigenvectors = _scaled_eigen_decomposition(gram, plausible_sizes)
     log_evidences = log_evidence_by_size(
@@ -267,13 +268,14 @@ def _scaled_eigen_decomposition(gram: Floats, plausible_sizes: Floats) -> tuple[
 MAX_AVERAGED_HYPOTHESES = 12
 """Number of the most probable hypotheses over which an estimate is averaged; it limits the computing time."""
 N_EXACTLY_EVALUATED_HYPOTHESES = 7
-"""Number of hypotheses of each kind (catalogue effects, noise hypotheses, empirical laws) whose evidence is computed
-without approximation, to limit the computing time. They are those with the largest approximate log evidence. A
-screening returns the same number of laws for each combination of stations and targets."""
+"""Number of hypotheses of each kind (catalogue effects, hypotheses of other noise than declared, and empirical laws,
+which describe errors as functions of covariates) whose evidence is computed without approximation, to limit the
+computing time. They are those with the largest approximate log evidence. The approximate evaluation returns the same
+number of laws for each combination of stations and targets."""
 MAX_LOG_EVIDENCE_DEFICIT_FOR_EXACT_EVALUATION = 10.0
 """Largest difference of the approximate log evidence of a hypothesis from the largest one, at which its evidence is
 computed without approximation. The hypothesis is a local optimum of a catalogue effect (over stations, targets and
-shape parameters), or a product of an empirical law and a second factor."""
+shape parameters), or a product of an empirical law (error as a function of covariates) and a second factor."""
 WIDE_PRIOR_SIGMA_FACTOR = 30.0
 """Prior standard deviation of reported sizes, divided by their plausible sizes. Such a wide prior hardly shrinks the
 estimates, but keeps undetermined combinations finite."""
@@ -283,7 +285,7 @@ def wide_prior_posterior(gram: Floats, score: Floats, plausible_sizes: Floats) -
     """Posterior mean (k,), covariance (k, k) and log evidence of k coefficients with a wide prior.
 
     The prior standard deviation is `WIDE_PRIOR_SIGMA_FACTOR` times the plausible size. `gram` (k, k) is the Gram matrix
-    of the projected design columns, and `score` (k,) their products with the residuals.
+    of the design columns, projected off the unknowns, and `score` (k,) their products with the residuals.
     """
     return coefficient_posterior(gram, score, plausible_sizes, np.array([WIDE_PRIOR_SIGMA_FACTOR]), np.zeros(1))
 
@@ -300,8 +302,8 @@ def log_positivity_factor(posterior_mean: float, sigma: float) -> float:
 def log_evidence_of_effect(effect: CandidateEffect, gram: Floats, score: Floats) -> float:
     """Log Bayes factor of an effect with k coefficients against no effect, averaged over the sizes of the effect.
 
-    `gram` (k, k) is the Gram matrix of its projected design columns, and `score` (k,) their products with the
-    residuals.
+    `gram` (k, k) is the Gram matrix of its design columns, projected off the unknowns, and `score` (k,) their products
+    with the residuals.
     """
     plausible_sizes = effect.plausible_sizes
     if not any(p.is_nonnegative for p in effect.parameters):
@@ -331,20 +333,19 @@ def size_factor_to_noise_level(effects_in_sigmas: Floats) -> float:
 
 
 MIN_SQUARED_SHIFT_FRACTION_OF_OBSERVABLE = 0.01
-"""Smallest fraction of the squared shift of all readings by an effect that is in an observable. With a smaller fraction
-the effect is not reported to act on this observable."""
+"""Smallest share of an observable in the squared shift of all readings by an effect. With a smaller share the effect is
+not reported to act on this observable."""
 MIN_SQUARED_PROJECTED_SHIFT_FRACTION_OF_OBSERVABLE = 0.1
-"""Smallest fraction of the squared shift of all residuals by an effect that is in an observable. With a smaller
-fraction the effect is not reported to act on this observable. It is larger than
-`MIN_SQUARED_SHIFT_FRACTION_OF_OBSERVABLE`, because the adjustment spreads a shift of one observable over the other
-observables."""
+"""Smallest share of an observable in the squared shift of all residuals by an effect. With a smaller share the effect
+is not reported to act on this observable. It is larger than `MIN_SQUARED_SHIFT_FRACTION_OF_OBSERVABLE`, because the
+adjustment spreads a shift of one observable over the other observables."""
 
 
 def observables_changed_by_effect(is_used_reading: Bools, shift: Floats, projected_shift: Floats) -> tuple[str, ...]:
     """Names of the observables on which an effect acts; empty if it acts on all.
 
     `is_used_reading` (n, 3) flags the r used readings of n pointings. `shift` (r,) is the whitened shift of these
-    readings by the effect, and `projected_shift` (r,) its projection onto the residual space.
+    readings by the effect, and `projected_shift` (r,) the part of it that appears in the residuals.
     """
     active = (
         _squared_shift_fraction_by_observable(is_used_reading, shift) >= MIN_SQUARED_SHIFT_FRACTION_OF_OBSERVABLE
@@ -356,7 +357,7 @@ def observables_changed_by_effect(is_used_reading: Bools, shift: Floats, project
 
 
 def _squared_shift_fraction_by_observable(is_used_reading: Bools, shift: Floats) -> Floats:
-    """Fraction (3,) of the squared `shift` (r,) of r readings that is in each observable.
+    """Share (3,) of each of the three observables in the squared `shift` (r,) of r readings.
 
     `is_used_reading` (n, 3) flags these readings among those of n pointings.
     """
@@ -382,7 +383,7 @@ def log_bayes_factor_of_discrepancy(space: ResidualSpace, shift: Floats, residua
     Parameters
     ----------
     space : ResidualSpace
-        Residual space of the adjustment.
+        Whitened equations of the adjustment, projected off its unknowns (residual space).
     shift : (m,) float
         Whitened shift of m observation equations by the hypothesis.
     residual, redundancy : (m,) float

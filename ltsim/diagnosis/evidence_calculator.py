@@ -21,7 +21,7 @@ from ltsim.physics.laws.responses import RESPONSE_AND_DESIGN_BY_NAME
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 CandidateEffectT = TypeVar("CandidateEffectT", bound=CandidateEffect)
-"""Type variable of a catalogue effect or an empirical law."""
+"""Type variable of a catalogue effect or an empirical law (error as a function of covariates)."""
 StationAndTargetNames = tuple[tuple[str, ...], tuple[str, ...]]
 """Names of the stations, and names of the targets, where an effect acts; empty for all."""
 
@@ -36,7 +36,10 @@ class AffectedRows(NamedTuple):
 
 
 class EvidenceCalculator:
-    """Calculator of Gram matrices, scores and log evidence of effects in the residual space of one adjustment."""
+    """Calculator of Gram matrices, scores (products with residuals) and log evidence of effects in one adjustment.
+
+    The design columns and the residuals are projected off the unknowns of the adjustment.
+    """
 
     def __init__(self, space: ResidualSpace) -> None:
         self.residual_space = space
@@ -51,7 +54,8 @@ class EvidenceCalculator:
         """Gram matrix (k, k) and score (k,) of each effect with k parameters, given the effects of a model.
 
         They are the products of the projected design columns of the effect with each other, and with residuals. The
-        residuals are those of the adjustment that also estimates the effects of `conditioning_model`.
+        residuals are those of the adjustment that also estimates the effects of `conditioning_model`. Projected means:
+        without the part that the unknowns of the adjustment absorb.
         """
         moments: dict[int, tuple[Floats, Floats]] = {}
         for rows, members in self._batches_with_same_rows(effects):
@@ -127,7 +131,7 @@ class EvidenceCalculator:
         return design_columns
 
     def _batches_with_same_rows(self, effects: Sequence[CandidateEffect]) -> Iterator[tuple[AffectedRows, list[int]]]:
-        """Batches of effects that act on the same observation equations, as pairs of these and of effect indices.
+        """Batches of effects that act on the same observation equations: pairs of equations and effect indices.
 
         A batch has at most `MAX_TEMPORARY_ENTRIES` matrix elements.
         """
@@ -143,7 +147,8 @@ class EvidenceCalculator:
     def _affected_rows(self, effect: CandidateEffect) -> AffectedRows:
         """Observation equations on which an effect acts: for an empirical law those of its place, otherwise all.
 
-        The place of a law is its stations and targets.
+        The place of a law is its stations and targets. An empirical law describes an error as a function of covariates
+        such as time.
         """
         place = (effect.stations, effect.targets) if isinstance(effect, EmpiricalLaw) else (("",), ("",))
         if place not in self._rows:
@@ -184,7 +189,7 @@ class EvidenceCalculator:
         """Whitened change (m, c) of m observation equations per unit of each component of a response.
 
         The response `name` is the quantity that an empirical law changes, such as the vertical index; it has c
-        components.
+        components. An empirical law describes an error as a function of covariates such as time.
         """
         if name not in self._changes_by_response:
             self._changes_by_response[name] = self.residual_space.whiten(
@@ -197,7 +202,8 @@ class EvidenceCalculator:
     ) -> None:
         """Computation of the Gram matrices of the projected design columns of new effects, which are then cached.
 
-        `designs` and `column_edges` are the results of `_stacked_designs`.
+        `designs` has the columns of all effects side by side, and `column_edges` the index of the first column of each.
+        Projected means: without the part that the unknowns of the adjustment absorb.
         """
         new_indices = sorted({effect: i for i, effect in enumerate(effects) if effect not in self._grams}.values())
         if not new_indices:

@@ -71,7 +71,7 @@ class SelectedModelFit:
     0."""
 
     def _ranking_of_alternatives(self, effect_index: int) -> HypothesisRanking:
-        """Ranking of all alternatives to a selected effect, with noise hypotheses and an unmodelled cause.
+        """Ranking of all alternatives to a selected effect, with changed noise levels and an unmodelled cause.
 
         `effect_index` is the index of the effect in the model.
         """
@@ -147,8 +147,9 @@ class SelectedModelFit:
     def p_real(self, effect_index: int) -> float:
         """Probability that a selected effect is real under any name, and not the result of several wrong readings.
 
-        `effect_index` is its index in the model. The probability is 0 if neither a size nor the decrease of chi-square
-        is significant. It is also 0 if neither place, nor observable, nor form of the effect is determined.
+        `effect_index` is the index of the effect in the model. The probability is 0 if neither a size nor the decrease
+        of chi-square is significant. It is also 0 if neither place, nor observable, nor function of the effect is
+        determined.
         """
         effect, gain = self.refit.effects[effect_index], float(self.squared_residual_decreases[effect_index].sum())
         size_estimates = [size for size in self.refit.estimates[effect_index] if size.parameter in effect.parameters]
@@ -165,7 +166,7 @@ class SelectedModelFit:
         return max(self.p_same_name(effect_index) * p_not_wrong_readings, self._p_located(effect_index))
 
     def p_cause(self, effect_index: int) -> float:
-        """Probability that the readings that a selected effect explains have any cause at the place of the effect.
+        """Probability that some cause at the place of a selected effect produced the residuals that it explains.
 
         `effect_index` is the index of the effect in the model. Several wrong readings are such a cause only if the
         effect acts on single targets. Otherwise they are at other places than the effect.
@@ -182,7 +183,7 @@ class SelectedModelFit:
         return not isinstance(effect, EmpiricalLaw) and bool(self._scope(effect).targets)
 
     def _p_located(self, effect_index: int) -> float:
-        """Probability of any cause with the scope of an effect, among them wrong readings at the same targets.
+        """Probability of a cause with the scope (place, observables, covariates) of an effect, or wrong readings there.
 
         `effect_index` is the index of the effect in the model.
         """
@@ -193,7 +194,7 @@ class SelectedModelFit:
     def p_wrong_readings(self) -> list[float]:
         """Probabilities, one per selected effect, that its cause is several wrong readings with separate errors.
 
-        Readings that are wrong with and without the effect are no alternative to it.
+        Readings that are wrong with and without the effect are no alternative to the effect.
         """
         return list(map(self._p_wrong_readings_of, range(len(self.model.hypotheses))))
 
@@ -318,7 +319,7 @@ class SelectedModelFit:
         effect = self.model.hypotheses[effect_index].effect
 
         def scope_of(candidate: CandidateEffect) -> FindingScope:
-            """Scope of a candidate, which is compared with the scope of the effect."""
+            """Scope (observables, place, covariates) of a candidate, for comparison with the selected effect."""
             scope = self._scope(candidate)
             if scope.targets and not isinstance(effect, EmpiricalLaw):
                 return FindingScope(targets=scope.targets)
@@ -344,7 +345,7 @@ class SelectedModelFit:
         return scope
 
     def _plausibility_sentence(self, effect: CandidateEffect, estimates: Sequence[ParameterEstimate]) -> str:
-        """Sentence on the declared prior of an instrument constant, or on a size that is implausible; else empty."""
+        """Sentence on the declared prior of an instrument constant, or on an implausible size; otherwise empty."""
         recording = self.selection_state.recording
         if isinstance(effect, ORDINARY_CALIBRATION_EFFECT_TYPES):
             name = recording.instruments[self._instrument_index(effect)]
@@ -381,8 +382,8 @@ class SelectedModelFit:
     ) -> tuple[ParameterEstimate, ...]:
         """Estimates of the sizes and shape parameters of a selected effect.
 
-        Without a clock, times are numbers of pointings. `effect_index` is the index of the effect, `hypothesis` the
-        effect after the refit, and `reduced_model` the model without the effect.
+        In a recording without times, numbers of pointings replace them. `effect_index` is the index of the effect,
+        `hypothesis` the effect after the refit, and `reduced_model` the model without the effect.
         """
         refitted = [
             ParameterEstimate.from_si(*estimate)

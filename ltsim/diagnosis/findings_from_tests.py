@@ -18,7 +18,8 @@ from ltsim.physics.effects.linear_effect import Parameter
 from ltsim.recordings.recording import OBSERVABLES
 
 DECLARED_COORDINATES_TEXT = "reference coordinates"
-"""Name for users of the wrong quantity in a finding on a point: the declared coordinates that define the axes."""
+"""Name, shown to users, of the wrong quantity in a finding on a point: the declared coordinates that define the
+axes."""
 
 
 def blunder_finding(blunder: IdentifiedBlunder) -> Finding:

@@ -38,17 +38,19 @@ from ltsim.physics.laws.regressors import CONSTANT_REGRESSOR, COORDINATE_COVARIA
 from ltsim.scene.sightings import Sightings
 
 RIGID_MOTION_REGRESSOR = Regressor("field", COORDINATE_COVARIATES, constant=1.0)
-"""Regressor (function of the coordinates) for a group of targets that moves and tilts as a rigid body."""
+"""Regressor (function of covariates) (function of the coordinates) for a group of targets that moves and tilts as a
+rigid body."""
 MAX_LOG_EVIDENCE_DIFFERENCE_TO_SINGLE_SET_UP_LAW = 0.5
-"""Difference of log evidence up to which an empirical law at all set-ups counts as equivalent to the law at one set-up.
-The poses of the other set-ups then absorb the law, and only the law at the one set-up is retained."""
+"""Difference of log evidence up to which an empirical law (error as a function of covariates) at all set-ups counts as
+equivalent to the law at one set-up. The poses of the other set-ups then absorb the law, and only the law at the one
+set-up is retained."""
 
 
 def min_log_evidence_for_forms(best_evidence: float) -> float:
-    """Log evidence in the screening, above which an empirical law is evaluated in all functional forms.
+    """Approximate log evidence above which an empirical law is evaluated in all functional forms.
 
     It is about half of `best_evidence`, the largest log evidence of a law, because another form may double the log
-    evidence.
+    evidence. An empirical law describes an error as a function of covariates such as time.
     """
     return 0.5 * best_evidence - 5.0
 
@@ -65,7 +67,9 @@ def evaluate_law_forms(
 
     A form that equals a catalogue effect has its name; all other forms are `unknown`. The evidence of a result is the
     sum over all forms with its name. `log_prior` is the log prior probability of the law. The effects of
-    `conditioning_model` are estimated in addition. Steps, ramps and switches are tried if `with_steps_and_switches`.
+    `conditioning_model` are estimated in addition. Steps, ramps and switches (on or off in intervals of a covariate)
+    are tried if `with_steps_and_switches`. An empirical law describes an error as a function of covariates such as
+    time.
     """
     sightings = calculator.residual_space.sightings
     law = law.equivalent_vertical_index_law(sightings)
@@ -119,7 +123,10 @@ def evaluate_law_forms(
 
 
 def _index_of_best(forms: Sequence[Hypothesis]) -> int:
-    """Index of the hypothesis in `forms` with the largest log evidence."""
+    """Index of the hypothesis with the largest log evidence among `forms` (functions of an empirical law).
+
+    An empirical law describes an error as a function of covariates such as time.
+    """
     return index_of_most_evidence(np.array([form.log_evidence for form in forms]))
 
 
@@ -129,6 +136,7 @@ def _functional_forms(
     """Forms of an empirical law as a curve, a formula, a piecewise function or a product, each with its log evidence.
 
     `log_prior` is the log prior probability of the law. The effects of `conditioning_model` are estimated in addition.
+    An empirical law describes an error as a function of covariates such as time.
     """
     forms = law.candidate_forms_by_kind(calculator.residual_space.sightings)
     weight_sum = sum(PRIOR_WEIGHT_BY_LAW_FORM[kind] for kind in forms)
@@ -153,10 +161,10 @@ def _functional_forms(
 def _forms_with_ratio(
     calculator: EvidenceCalculator, form: Hypothesis, conditioning_model: EffectModel
 ) -> list[Hypothesis]:
-    """List of a form of an empirical law, and possibly of the form with a fixed ratio of its components.
+    """List of `form`, an empirical law, and possibly of this law with a fixed ratio of its components.
 
-    The second form is tried if each component has several coefficients. The effects of `conditioning_model` are
-    estimated in addition.
+    The fixed ratio is tried if each component has several coefficients. The effects of `conditioning_model` are
+    estimated in addition. An empirical law describes an error as a function of covariates such as time.
     """
     law = form.effect
     assert isinstance(law, EmpiricalLaw)
@@ -180,10 +188,11 @@ def _forms_with_ratio(
 def _forms_at_single_set_ups(
     calculator: EvidenceCalculator, form: Hypothesis, conditioning_model: EffectModel
 ) -> list[Hypothesis]:
-    """List of a form of an empirical law at all set-ups, and of the same form at single set-ups.
+    """List of `form`, an empirical law at all set-ups, and of the same law at single set-ups.
 
-    If the poses of all set-ups except one absorb the law, the list contains only the form at this set-up. The effects
-    of `conditioning_model` are estimated in addition.
+    If the poses of all set-ups except one absorb the law, the list contains only the law at this set-up. The effects of
+    `conditioning_model` are estimated in addition. An empirical law describes an error as a function of covariates such
+    as time.
     """
     law, stations = form.effect, calculator.residual_space.sightings.station_names
     assert isinstance(law, EmpiricalLaw)
@@ -232,10 +241,12 @@ def _forms_at_single_set_ups(
 def _piecewise_forms(
     calculator: EvidenceCalculator, law: EmpiricalLaw, log_prior: float, conditioning_model: EffectModel
 ) -> list[Hypothesis]:
-    """List of one form of an empirical law as a sum of steps and ramps, which are added while the evidence increases.
+    """List of an empirical law with a sum of steps and ramps, in place of its curve.
 
-    The list is empty for a law without a curve, and for a law of a single target. `log_prior` is the log prior
-    probability of the form. The effects of `conditioning_model` are estimated in addition.
+    Steps and ramps are added while the evidence increases. The list is empty for a law without a curve, and for a law
+    that acts on a single target. `log_prior` is the log prior probability of the result. The effects of
+    `conditioning_model` are estimated in addition. An empirical law describes an error as a function of covariates such
+    as time.
     """
     atoms = law.candidate_steps_and_ramps(calculator.residual_space.sightings)
     if not atoms or len(law.targets) == 1:  # the catalogue has effects for it
@@ -286,7 +297,8 @@ def response_curve(
     """Curve of an empirical law over its covariate, at the set-up and in the direction with the largest effect.
 
     The result is None for a law with several covariates, or with a separate size at each set-up. The k coefficients of
-    the law have the mean `coefficient_mean` (k,) and the covariance `coefficient_covariance` (k, k) [SI].
+    the law have the mean `coefficient_mean` (k,) and the covariance `coefficient_covariance` (k, k) [SI]. An empirical
+    law describes an error as a function of covariates such as time.
     """
     regressor = law.regressor
     if len(regressor.covariates) != 1 or regressor.kind in ("amounts", "passage"):

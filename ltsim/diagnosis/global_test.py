@@ -20,10 +20,10 @@ from ltsim.diagnosis.search import Searcher
 
 @dataclass(frozen=True)
 class GlobalTestResult:
-    """Result of the global tests of a recording: the search over all hypotheses, and the chi-square test."""
+    """Result of the global tests of a recording: the search over all possible causes, and the chi-square test."""
 
     test_statistic: float
-    """Test statistic: log of the sum of the evidence of all hypotheses of the search."""
+    """Test statistic: log of the sum of the evidence of all hypotheses (possible causes of a misfit)."""
     chi2_p_value: float
     """One-sided p-value of chi-square in the ordinary adjustment; NaN without redundancy."""
     null_test_statistics: Floats
@@ -31,7 +31,7 @@ class GlobalTestResult:
 
     @property
     def p_value(self) -> float:
-        """p-value of the recording in the complete search, corrected for the number of hypotheses."""
+        """p-value of the recording in the search over all effects, corrected for the number of hypotheses."""
         return self.p_value_of(self.test_statistic)
 
     def critical_value(self, alpha: float) -> float:
@@ -50,7 +50,11 @@ class GlobalTestResult:
 
 
 def run_global_test(searcher: Searcher, noise_hypotheses: NoiseHypothesisSet) -> GlobalTestResult:
-    """Result of the simultaneous test of an adjustment for all effects, empirical laws and noise hypotheses."""
+    """Result of the simultaneous test of an adjustment for all effects, empirical laws and noise hypotheses.
+
+    An empirical law describes an error as a function of covariates such as time. A noise hypothesis says that the noise
+    of some readings differs from the declared noise.
+    """
     space = searcher.residual_space
     noise_evidence = noise_hypotheses.log_evidence_by_family(space.whitened_residuals[:, None], space.redundancy)[:, 0]
     simulated_evidence = noise_hypotheses.log_evidence_by_family(

@@ -32,11 +32,12 @@ class Hypothesis:
     """
 
     effect: CandidateEffect
-    """Catalogue effect or empirical law, with the stations and targets where it acts and with its shape parameters."""
+    """Catalogue effect or empirical law (error as a function of covariates), with the stations and targets where it
+    acts and with its shape parameters."""
     log_prior: float
     """Log prior probability of the effect at these stations and targets with these shape parameters."""
     log_evidence: float
-    """Log evidence with prior, averaged over similar shape parameters, given the model for which it was computed."""
+    """Log evidence with prior, averaged over similar shape parameters, given the other effects in a model."""
     name: str
     """Name of the effect in the catalogue, or `unknown`."""
 
@@ -47,7 +48,10 @@ class Hypothesis:
 
     @property
     def is_catalogued(self) -> bool:
-        """True if the hypothesis is a catalogue effect, False for an empirical law outside the catalogue."""
+        """True if the hypothesis is a catalogue effect, False for an empirical law outside the catalogue.
+
+        An empirical law describes an error as a function of covariates such as time.
+        """
         return self.name != "unknown"
 
     @property
@@ -63,15 +67,20 @@ class EffectModel:
     hypotheses: tuple[Hypothesis, ...]
     """Hypotheses of the model, one per effect."""
     projected_designs: tuple[Floats, ...]
-    """Projected design matrix (m, k) of each effect: change of m whitened residuals per unit of its k coefficients."""
+    """Projected design matrix (m, k) of each effect: change of m whitened residuals per unit of its k coefficients.
+    Projected means: without the part that the unknowns of the adjustment absorb."""
     design_column_norms: tuple[Floats, ...]
-    """Norms (k,) of the k design columns of each effect before the projection onto the residual space."""
+    """Norms (k,) of the k design columns of each effect before the projection onto the residual space (whitened
+    equations projected off the unknowns)."""
     baseline_residual: Floats = field(repr=False)
     """Whitened residuals (m,) of m observation equations in the adjustment without the effects of the model."""
 
     @classmethod
     def from_residual_space(cls, hypotheses: Sequence[Hypothesis], space: ResidualSpace) -> EffectModel:
-        """Model with the given hypotheses in the residual space `space` of an adjustment."""
+        """Model with the given hypotheses in the residual space `space` of an adjustment.
+
+        The residual space contains the whitened equations, projected off the unknowns.
+        """
         designs = [space.whitened_design(h.effect) for h in hypotheses]
         norms = map(space.norms_without_centring, designs)
         return cls(tuple(hypotheses), tuple(map(space.project, designs)), tuple(norms), space.whitened_residuals)
@@ -100,16 +109,18 @@ class EffectModel:
     def gram_and_score(self) -> tuple[Floats, Floats]:
         """Gram matrix (k, k) of the k projected design columns of all effects, and their products (k,) with residuals.
 
-        The residuals are those of the adjustment without effects.
+        The residuals are those of the adjustment without effects. Projected means: without the part that the unknowns
+        of the adjustment absorb.
         """
         projected_design = np.hstack(self.projected_designs)
         return projected_design.T @ projected_design, projected_design.T @ self.baseline_residual
 
     @cached_property
     def discrepancy_penalty(self) -> float:
-        """Additional log evidence required of a further effect, because the form of an empirical law is imperfect.
+        """Additional log evidence required of a further effect, because the function of an empirical law is imperfect.
 
-        It is 0 for a model with catalogue effects only.
+        It is 0 for a model with catalogue effects only. An empirical law describes an error as a function of covariates
+        such as time.
         """
         if all(h.is_catalogued for h in self.hypotheses):
             return 0.0
@@ -141,8 +152,8 @@ class EffectModel:
 
 
 RELATIVE_ERROR_OF_LAW_FORM = 0.05
-"""Fraction of the chi-square decrease by an empirical law that the decrease by a further effect must exceed. The form
-of a law is an approximation, and a second effect could otherwise describe the error of this form."""
+"""Fraction of the chi-square decrease by an empirical law (error as a function of covariates) that the decrease by a
+further effect must exceed. The function is an approximation, and a second effect could otherwise describe its error."""
 
 
 @dataclass(frozen=True)
@@ -161,7 +172,8 @@ class HypothesisRanking:
     def most_probable_of_each_kind(self) -> list[Hypothesis]:
         """Hypotheses with the largest evidence: one of each catalogue effect, and one law of each response.
 
-        The response is the quantity that an empirical law changes. The order is that of the ranking.
+        The response is the quantity that an empirical law changes. The order is that of the ranking. An empirical law
+        describes an error as a function of covariates such as time.
         """
         first: dict[tuple[str, str], Hypothesis] = {}
         for hypothesis in self.hypotheses:

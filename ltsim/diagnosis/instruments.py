@@ -36,18 +36,18 @@ from ltsim.recordings.recording import Recording
 from ltsim.solve.design import scale_to_unit_diagonal
 
 CHANGED_INSTRUMENT_CONSTANT_VARIANCE = sum(share * size**2 for size, share in PRIOR_BY_RELATIVE_EFFECT_SIZE.items())
-"""Prior variance of an instrument constant that is selected as changed, divided by its squared specification."""
+"""Prior variance of a changed instrument constant, divided by the manufacturer's squared specification."""
 INSTRUMENT_CONSTANT_REFERENCE_PHRASES = {True: "its declared correction", False: "the other instruments"}
-"""Name for users of the reference of an instrument constant, by whether the set-up declares it corrected."""
+"""Name, shown to users, of the reference of an instrument constant, by whether the set-up declares it corrected."""
 
 
 def instrument_entries(adjustment: Adjustment) -> tuple[InstrumentEntry, ...]:
-    """Entries of all instruments of a recording, with instrument constants and their determined combinations."""
+    """Entries of all instruments of a recording, with instrument constants and their measurable combinations."""
     return tuple(_instrument_entry(adjustment, i) for i in range(len(adjustment.recording.instruments)))
 
 
 def _instrument_entry(adjustment: Adjustment, instrument_index: int) -> InstrumentEntry:
-    """Entry of one instrument of a recording, with its constants and their determined combinations."""
+    """Entry of one instrument of a recording, with its constants and their measurable combinations."""
     parameters = adjustment.construction.parameters
     constants = adjustment.state.instrument_parameters[instrument_index]
     covariance = adjustment.instrument_covariance_of(instrument_index)
@@ -110,21 +110,21 @@ class InstrumentConstantChange:
     constant_index: int
     """Index of the changed constant among the p constants of an instrument."""
     reference_text: str
-    """Name for users of the reference with which the instrument constant is compared."""
+    """Name, shown to users, of the reference with which the instrument constant is compared."""
     added_variance_grid: Floats | float = 0.0
-    """Possible variances (s values) in addition to the expected variance, in units of the squared specification."""
+    """Possible additions (s,), or a single one, to the expected variance, divided by the squared specification."""
     log_variance_weights: Floats | float = 0.0
-    """Natural logarithms of the prior weights of the s values of `added_variance_grid`."""
+    """Natural logarithms of the prior weights of each value of `added_variance_grid`."""
 
 
 @dataclass(frozen=True)
 class ExpectedInstrumentConstants:
-    """Expected values of the p constants of I instruments, in units of their specifications, and possible changes."""
+    """Expected p constants of I instruments, divided by the manufacturer's specifications, and changes to be tested."""
 
     mean: Floats
-    """Expected values (I p,) of the p constants of I instruments, divided by their specifications."""
+    """Expected values (I p,) of the p constants of I instruments, divided by the manufacturer's specifications."""
     covariance: Floats
-    """Covariance (I p, I p) of the p constants of I instruments about `mean`, in units of their specifications."""
+    """Covariance (I p, I p) of the p constants of I instruments, in units of the manufacturer's specifications."""
     possible_changes: tuple[InstrumentConstantChange, ...]
     """Changes of instrument constants that are tested."""
 
@@ -294,10 +294,10 @@ def _log_evidence_of_change(
 
 
 TRUE_TO_SAMPLE_VARIANCE_RATIO_GRID = np.geomspace(0.05, 1e4, 80)
-"""Grid of the true variance of an instrument constant between calibrations, divided by that of a few calibrations."""
+"""Ratios of the true variance of an instrument constant between calibrations to that in a sample of calibrations."""
 SAMPLE_VARIANCE_PRIOR_DOF = 4
-"""Degrees of freedom that the sample variances of all instrument constants add to that of one (Smyth 2004). They are
-those of standard deviations that mostly agree within a factor of two."""
+"""Degrees of freedom that the sample variances of all instrument constants add to the sample variance of one constant
+(Smyth 2004). Such standard deviations mostly agree within a factor of two."""
 
 
 @dataclass(frozen=True)
@@ -310,7 +310,7 @@ class ExpectationFromEarlierCalibrations:
     """Mean and covariance of the instrument constants [SI]; the covariance includes their scatter between
     calibrations."""
     manufacturer_specification: Floats
-    """Specification of the manufacturer (I, p) [SI] for p constants of I instruments, the unit of computations."""
+    """Specification of the manufacturer (I, p) [SI] of p constants of I instruments, the unit of their comparison."""
 
     @classmethod
     def from_calibrations(
@@ -358,7 +358,7 @@ class ExpectationFromEarlierCalibrations:
     def _additional_variances_and_log_weights(
         self, expected_covariance: Floats, specification: Floats, constant_names: list[str]
     ) -> tuple[Floats, Floats]:
-        """Possible variances (k, s) of k constants in addition to the expected ones, and their s log weights (k, s).
+        """Possible additional variances (k, s) of k constants, s of each, and logs (k, s) of their prior weights.
 
         The sample variance of a few calibrations has a scaled chi-square distribution, with one degree of freedom less
         than the number of calibrations. The sample variances of the other constants add `SAMPLE_VARIANCE_PRIOR_DOF`
@@ -391,7 +391,7 @@ class ExpectationFromEarlierCalibrations:
         return self.earlier_calibration_prior.between_calibration_sigma[indices]
 
     def _reference_phrase(self, parameter: Parameter) -> str:
-        """Name for users of the earlier calibrations with which an instrument constant is compared."""
+        """Name, shown to users, of the earlier calibrations with which an instrument constant is compared."""
         n_calibrations = self.earlier_calibration_prior.n_calibrations
         if n_calibrations == 1:
             return "its calibration"

@@ -31,31 +31,34 @@ from ltsim.physics.laws.responses import Response
 from ltsim.scene.sightings import Sightings
 
 MAX_CACHED_COLUMN_ENTRIES = 16_000_000
-"""Largest number of elements (64 MB) of design columns of regressors that stay in memory. The limit applies to the
-columns that several batches share during a screening, and to those of all batches between screenings. To compute them
-again takes a sixth of the time of a screening."""
+"""Largest number of elements (64 MB) of design columns of regressors (functions of covariates) that stay in memory. The
+limit applies to the columns in use during the approximate evaluation of all laws, and to all columns between two
+evaluations. To compute released columns again takes a sixth of the time of an evaluation."""
 
 
 class ScreenedLaw(NamedTuple):
     """Screened empirical law: changed quantity, function of covariates, place, and approximate log evidence."""
 
     response: Response
-    """Quantity that the empirical law changes, such as the vertical index."""
+    """Quantity that the empirical law (error as a function of covariates) changes, such as the vertical index."""
     regressor: Regressor
     """Function of covariates that the change of the quantity follows, such as a curve over time."""
     place: LawPlace
-    """Stations, targets or instruments where the empirical law acts."""
+    """Stations, targets or instruments where the empirical law (error as a function of covariates) acts."""
     log_evidence: float
-    """Approximate log evidence of the empirical law, including its log prior probability."""
+    """Approximate log evidence of the empirical law (error as a function of covariates), including its log prior
+    probability."""
     log_prior: float
-    """Log prior probability of the empirical law at these stations, targets or instruments."""
+    """Log prior probability of the empirical law (error as a function of covariates) at these stations, targets or
+    instruments."""
 
 
 @dataclass(frozen=True)
 class PointingPartition:
     """Partition of the pointings into cells: pointings of the same places (stations, targets or instruments).
 
-    A sum over the pointings of a place, where empirical laws act, is a sum over the cells of the place.
+    A sum over the pointings of a place, where empirical laws act, is a sum over the cells of the place. An empirical
+    law describes an error as a function of covariates such as time.
     """
 
     pointing_order: Ints
@@ -69,7 +72,10 @@ class PointingPartition:
 
     @classmethod
     def from_places(cls, places: Sequence[LawPlace], n_pointings: int) -> PointingPartition:
-        """Partition of `n_pointings` pointings by the places (stations, targets or instruments) of empirical laws."""
+        """Partition of `n_pointings` pointings by the places (stations, targets or instruments) of empirical laws.
+
+        An empirical law describes an error as a function of covariates such as time.
+        """
         is_inside = np.zeros((len(places), n_pointings), dtype=bool)
         for here, place in zip(is_inside, places, strict=True):
             here[place.rows] = True
@@ -82,7 +88,7 @@ class PointingPartition:
         """Batches of pointings for temporary arrays with `n_entries_per_pointing` elements per pointing.
 
         Each batch is a tuple: its slice of `pointing_order`, the indices of its pointings, and for each of its cells
-        the index of the cell and its slice in the batch.
+        (pointings of the same places) the index of the cell and its slice in the batch.
         """
         for part in batches(len(self.pointing_order), n_entries_per_pointing):
             first, last = np.searchsorted(self.cell_edges, [part.start, part.stop - 1], side="right") - 1
@@ -101,7 +107,7 @@ class PointingPartition:
 class RegressorColumns:
     """Design columns of regressors (functions of covariates) at all pointings, k columns each, computed on first use.
 
-    Several batches share them. They stay in memory until they are released, or always if `is_cached`.
+    Several batches of laws share the columns, which stay in memory until they are released, or always if `is_cached`.
     """
 
     def __init__(
@@ -118,7 +124,11 @@ class RegressorColumns:
         self.n_entries_per_regressor = regressors[0].n_columns * len(sightings)
 
     def model_columns(self, regressor_range: slice) -> Floats32:
-        """Columns (n, d k) of the d regressors in `regressor_range`, k columns each, for n pointings sorted by cell."""
+        """Columns (n, d k) of the d regressors in `regressor_range`, k columns each, for n pointings.
+
+        A regressor is a function of covariates to which the error is proportional. The pointings are sorted by place
+        (stations, targets or instruments).
+        """
         if self.n_entries_per_regressor * len(self._regressors) > MAX_CACHED_COLUMN_ENTRIES:
             return self._compute_columns(self._regressors[regressor_range])
         if self._all_columns is None:
@@ -132,7 +142,11 @@ class RegressorColumns:
             self._all_columns = None
 
     def _compute_columns(self, regressors: Sequence[Regressor]) -> Floats32:
-        """Columns (n, d k) of d regressors with k columns each, for n pointings in the order of the cells."""
+        """Columns (n, d k) of d regressors with k columns each, for n pointings.
+
+        A regressor is a function of covariates to which the error is proportional. The pointings are sorted by place
+        (stations, targets or instruments).
+        """
         n_columns = regressors[0].n_columns
         columns = np.empty((len(self._sightings), len(regressors) * n_columns), dtype=np.float32)
         for i, driver in enumerate(regressors):
@@ -150,22 +164,28 @@ class LawBatch:
     """
 
     responses: tuple[Response, ...]
-    """Quantities (C responses with c components each) that the empirical laws change."""
+    """Quantities (C responses (changed quantities) with c components each) that the empirical laws (errors as functions
+    of covariates) change."""
     regressors: tuple[Regressor, ...]
-    """Functions of covariates (D regressors with k columns each) that the empirical laws follow."""
+    """Functions of covariates (D regressors with k columns each) that the empirical laws (errors as functions of
+    covariates) follow."""
     places: tuple[LawPlace, ...]
-    """Stations, targets or instruments where the empirical laws act, P places."""
+    """Stations, targets or instruments where the empirical laws (errors as functions of covariates) act, P places."""
     pointing_partition: PointingPartition
-    """Partition of the pointings by the stations, targets or instruments (places) where the empirical laws act."""
+    """Partition of the pointings by the stations, targets or instruments (places) where the empirical laws (errors as
+    functions of covariates) act."""
     whitened_response_designs: Floats32
     """Whitened change (n, 3, C, c) of the readings of n pointings by the plausible size of each of the c components of
     C responses (changed quantities)."""
     regressor_columns: RegressorColumns
-    """Design columns of the regressors, which batches with the same regressors and cells share."""
+    """Design columns of the regressors (functions of covariates), which batches of laws with the same regressors and
+    places share."""
     log_prior_by_place: Floats
-    """Log prior probability (P,) of a single empirical law at each of P places (stations, targets or instruments)."""
+    """Log prior probability (P,) of a single empirical law (error as a function of covariates) at each of P places
+    (stations, targets or instruments)."""
     _cached_eigen_decompositions: dict[int, list[tuple[Floats, Floats32]]] = field(default_factory=dict, repr=False)
-    """Eigen decompositions of scaled Gram matrices, by the first index of their range of regressors."""
+    """Eigen decompositions of Gram matrices scaled by prior standard deviations, by the first index of their range of
+    regressors (functions of covariates)."""
 
     @cached_property
     def _prior_sigmas(self) -> list[Floats]:
@@ -183,7 +203,8 @@ class LawBatch:
         """Empirical laws with the largest evidence at each place, log of the summed evidence of all, and null values.
 
         A place is the stations, targets or instruments where a law acts. The null values (trials,) are the log of the
-        summed evidence for each simulated recording (trial) of the null ensemble.
+        summed evidence for each simulated recording (trial) of the null ensemble. An empirical law describes an error
+        as a function of covariates such as time.
         """
         count, size = len(self.regressors), self.regressors[0].n_columns
         products = size * self.whitened_response_designs[0, 0].size * len(self.places)
@@ -243,7 +264,8 @@ class LawBatch:
         entry has the eigenvalues (P, C, d, c k) and matrices (P, C, d, c k, c k); the product of such a matrix with the
         scores of a law gives its scores along the eigenvectors. There are P places (stations and targets where a law
         acts), C responses (quantities that it changes) with c components, and d regressors with k columns in
-        `regressor_range`. `gram` has the shape (P, C, d, c k, c k).
+        `regressor_range`. `gram` has the shape (P, C, d, c k, c k). An empirical law describes an error as a function
+        of covariates such as time.
         """
         transforms = []
         for spread in (spread[regressor_range] for spread in self._prior_sigmas):
@@ -256,7 +278,8 @@ class LawBatch:
         """Products (P, C, d, c k, v) of the design matrices of empirical laws with v vectors of the null ensemble.
 
         The laws act at P places (stations and targets) on C responses (changed quantities) with c components. `columns`
-        (n, d k) are the k columns of each of d regressors (functions of covariates) at n pointings.
+        (n, d k) are the k columns of each of d regressors (functions of covariates) at n pointings. The null ensemble
+        consists of simulated recordings without effects.
         """
         _, _, count, n_components = self.whitened_response_designs.shape
         vectors, d = null_ensemble.probe_vectors.shape[1], columns.shape[1] // self.regressors[0].n_columns
@@ -281,7 +304,8 @@ class LawBatch:
         """Gram matrices (P, C, d, c k, c k) of the designs of empirical laws, before their projection.
 
         The laws act at P places (stations and targets) on C responses (changed quantities) with c components. `columns`
-        (n, d k) are the k columns of each of d regressors (functions of covariates) at n pointings.
+        (n, d k) are the k columns of each of d regressors (functions of covariates) at n pointings. Projected means:
+        without the part that the unknowns of the adjustment absorb.
         """
         _, _, count, n_components = self.whitened_response_designs.shape
         k = self.regressors[0].n_columns
@@ -325,9 +349,10 @@ def indices_of_largest(values: Floats, count: int) -> Ints:
 def evaluate_law_batches(
     law_batches: Sequence[LawBatch], null_ensemble: NullEnsemble
 ) -> list[tuple[list[ScreenedLaw], float, Floats]]:
-    """Results of `LawBatch.best_laws_and_log_total_evidence` for all batches, in order.
+    """Best laws, log of the summed evidence, and null values (trials,) of each batch of laws, in the order of batches.
 
-    Columns that several batches share are computed once.
+    An empirical law describes an error as a function of covariates such as time. The null values are the log of the
+    summed evidence in simulated recordings without effects (trials).
     """
     by_columns: dict[int, list[int]] = {}
     for i, batch in enumerate(law_batches):

@@ -28,15 +28,21 @@ from ltsim.physics.laws.regressors import (
 from ltsim.scene.regions import candidate_regions
 
 SECOND_FACTOR_COVARIATES = ("distance", "elevation", "height")
-"""Covariates to which the change by an empirical law may be proportional in addition (second factor)."""
+"""Covariates to which the change by an empirical law (error as a function of covariates) may be proportional in
+addition (second factor)."""
 SECOND_FACTOR_REGION_SHAPES = ("z", "x", "y", "xy")
-"""Shapes of the regions of the hall to which an empirical law may be confined, given by the bounded axes."""
+"""Shapes of the regions of the hall to which an empirical law (error as a function of covariates) may be confined,
+given by the axes along which a region is bounded."""
 MAX_COEFFICIENTS_WITH_SECOND_FACTOR = 2
-"""Largest number of coefficients of an empirical law for which a second factor is tried; a wave has two."""
+"""Largest number of coefficients of an empirical law (error as a function of covariates) for which a second factor is
+tried; a wave has two."""
 
 
 def may_have_a_second_factor(law: EmpiricalLaw) -> bool:
-    """True for an empirical law of one observable in the whole network with one covariate and few coefficients."""
+    """True for an empirical law of one observable in the whole network with one covariate and few coefficients.
+
+    An empirical law describes an error as a function of covariates such as time.
+    """
     if law.response.changed_part != "reading" or law.response.component_units or law.stations or law.targets:
         return False
     regressor = law.regressor
@@ -45,7 +51,10 @@ def may_have_a_second_factor(law: EmpiricalLaw) -> bool:
 
 
 def _is_of_time(regressor: Regressor) -> bool:
-    """True for a regressor (function of covariates) that is a function of time, such as a switch."""
+    """True for a regressor (function of covariates) that is a function of time, such as a switch.
+
+    A switch is on in some intervals of a covariate, and off in the others.
+    """
     return regressor.covariates[:1] in [(name,) for name in CLOCK_COVARIATES]
 
 
@@ -54,8 +63,9 @@ def product_forms(
 ) -> list[Hypothesis]:
     """List with the best product of an empirical law of readings and a second factor, after a local search.
 
-    `form` is the law. The list is empty if no product has nearly the evidence of the law. For a switch it also contains
-    other forms of the product. The effects of `conditioning_model` are estimated in addition.
+    `form` is the law. The list is empty if no product has nearly the evidence of the law. For a law that is switched on
+    and off, the list also contains other functions as factors. The effects of `conditioning_model` are estimated in
+    addition. An empirical law describes an error as a function of covariates such as time.
     """
     law, sightings = form.effect, calculator.residual_space.sightings
     assert isinstance(law, EmpiricalLaw)
@@ -91,6 +101,9 @@ def product_forms(
 
 
 def _law_product(law: EmpiricalLaw, second_factor: Regressor) -> EmpiricalLaw:
-    """Product of an empirical law with the function `second_factor`; a region of the hall becomes the first factor."""
+    """Product of an empirical law with the function `second_factor`; a region of the hall becomes the first factor.
+
+    An empirical law describes an error as a function of covariates such as time.
+    """
     factors = (second_factor, law.regressor) if second_factor.region is not None else (law.regressor, second_factor)
     return replace(law, regressor=Regressor("product", factors=factors), length_scale_index=0)

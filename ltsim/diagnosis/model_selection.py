@@ -15,7 +15,8 @@ from ltsim.diagnosis.prior import MAX_MODEL_EFFECTS, MIN_EFFECT_LOG_EVIDENCE
 from ltsim.diagnosis.selection_state import SelectionState
 
 MAX_NOISE_HYPOTHESES = 3
-"""Largest number of noise hypotheses that are added to a model; a selection of effects follows each of them."""
+"""Largest number of noise hypotheses (noise other than declared) that are added to a model; after each of them the
+effects are selected again."""
 InstrumentConstantComparisonFunction = Callable[[Adjustment], ContradictingInstrumentConstants]
 """Function of an adjustment whose result are the instrument constants that contradict their reference."""
 
@@ -23,13 +24,14 @@ InstrumentConstantComparisonFunction = Callable[[Adjustment], ContradictingInstr
 def select_noise_and_effects(
     state: SelectionState, compare_with_reference: InstrumentConstantComparisonFunction
 ) -> tuple[SelectionState, EffectModel]:
-    """State of the selection after the choice of noise hypotheses and changed instrument constants, and the effects.
+    """State of the model selection with the selected noise hypotheses (changed noise levels), and model of effects.
 
-    The kind of hypothesis with the largest evidence is selected first. The selection ends when the evidence increases
-    by less than `MIN_EFFECT_LOG_EVIDENCE`. The order matters: an empirical law that is selected with a wrong noise
-    level absorbs noise, and noise that is estimated before a law absorbs the law. Noise is therefore estimated together
-    with the effects among the simple causes of the network. `compare_with_reference` returns the instrument constants
-    that contradict their reference in an adjustment.
+    The state also contains the changed instrument constants. The kind of hypothesis with the largest evidence is
+    selected first. The selection ends when the evidence increases by less than `MIN_EFFECT_LOG_EVIDENCE`. The order
+    matters: an empirical law (error as a function of covariates) that is selected with a wrong noise level absorbs
+    noise, and noise that is estimated before a law absorbs the law. Noise is therefore estimated together with the
+    effects among the simple causes of the network (such as moved targets). `compare_with_reference` returns the
+    instrument constants that contradict their reference in an adjustment.
     """
     noise = state.ranked_noise_hypotheses(state.empty_model)[0][0]
     shifts = state.searcher.model_by_forward_steps(noise).penalised_log_evidence
@@ -62,7 +64,7 @@ def _select_noise_hypotheses(
     log_evidence_of_effects: float,
     start_hypotheses: Sequence[Hypothesis],
 ) -> SelectionState:
-    """State of the model selection after a forward selection of noise hypotheses.
+    """State of the model selection after a forward selection of noise hypotheses (noise other than declared).
 
     The noise is estimated with the effects of `start_hypotheses` in the model. The first noise hypothesis is always
     selected, because the global test has failed. Its alternatives include the effects, with the log evidence
@@ -82,9 +84,9 @@ def _select_noise_hypotheses(
 def _select_effects_given_noise(
     state: SelectionState, start_hypotheses: Sequence[Hypothesis]
 ) -> tuple[SelectionState, EffectModel]:
-    """State of the selection, and model, after a selection of effects in addition to the noise hypotheses.
+    """State of the model selection, and model, after effects are selected in addition to changed noise levels.
 
-    If the noise hypotheses suffice, the state is unchanged and the model has no effects. The search begins with the
+    If the changed noise levels suffice, the state is unchanged and the model has no effects. The search begins with the
     hypotheses `start_hypotheses` in the model. Noise that is estimated without an effect includes this effect. The
     noise is therefore estimated again with each of the hypotheses with the largest evidence. The most probable of them,
     with its noise, is compared with the noise alone by their evidence.
@@ -104,10 +106,11 @@ def _select_effects_given_noise(
 
 
 def _alternate_noise_and_effects(state: SelectionState, model: EffectModel) -> tuple[SelectionState, EffectModel]:
-    """State of the selection, and model, after alternating selections of noise hypotheses and of effects.
+    """State of the model selection, and model, after alternating selections of noise hypotheses and of effects.
 
     They alternate while the evidence increases. Each noise hypothesis is tried in addition to `model`, in place of one
-    of the effects in the model, and in place of all effects.
+    of the effects in the model, and in place of all effects. A noise hypothesis says that the noise of some readings
+    differs from the declared noise.
     """
     for _ in range(MAX_NOISE_HYPOTHESES):
         searcher, hypotheses = state.searcher, model.hypotheses
@@ -137,7 +140,7 @@ def _alternate_noise_and_effects(state: SelectionState, model: EffectModel) -> t
 def _most_probable_noise_hypothesis(
     ranked_noise_hypotheses: Sequence[tuple[float, NoiseHypothesis]], log_evidence_of_effects: float
 ) -> NoiseHypothesis:
-    """Most probable noise hypothesis, with its probability among all hypotheses.
+    """Most probable noise hypothesis (noise other than declared), with its probability among all hypotheses.
 
     `ranked_noise_hypotheses` are pairs of a log evidence and a noise hypothesis. `log_evidence_of_effects` is the log
     of the summed evidence of all other hypotheses.

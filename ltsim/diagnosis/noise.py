@@ -53,14 +53,14 @@ from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
 MIN_LOG_EVIDENCE_FRACTION_FOR_NOISE_AT_PLACES = 0.2
-"""Fraction of the largest log evidence, above which larger noise in intervals of time is also tried at single stations,
-groups of targets and regions of the hall."""
+"""Fraction of the largest log evidence of another noise, above which larger noise in intervals of time is also tried at
+single stations, groups of targets and regions of the hall."""
 N_FINE_GRID_NOISE_SIZES = 48
-"""Number of sizes on the fine grid over which the evidence of the most probable hypotheses is averaged."""
+"""Number of sizes of the changed noise on the fine grid over which the evidence of the best hypotheses is averaged."""
 
 
 def noise_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> list[NoiseHypothesis]:
-    """Noise hypotheses with one size (factor or added variance) for all affected readings, one for each size of a grid.
+    """Changes of the noise by one size (factor or added variance) for all affected readings, for a grid of sizes.
 
     `instruments` are the names of the instruments, each of which may have separate noise if there are several.
     """
@@ -74,16 +74,16 @@ def noise_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> l
 
 @dataclass(frozen=True)
 class NoiseHypothesisSet:
-    """Noise hypotheses in the residual space of an adjustment, with their evidence.
+    """Noise hypotheses (noise other than declared) for an adjustment, with their evidence.
 
     The evidence is computed for the recording and for simulated recordings. In the diagonal form (independent readings)
     it is a linear function of squared residuals and of squared means of repeated readings.
     """
 
     hypotheses: list[NoiseHypothesis]
-    """Hypotheses (h of them) with one size for all affected readings."""
+    """Changed noise levels, h of them, each with one size (factor or added variance) for all affected readings."""
     family_names: tuple[str, ...]
-    """Names of the families (kinds of changed noise level) of these hypotheses."""
+    """Names of the families (kinds of changed noise level) in `hypotheses`."""
     family_indices: Ints
     """Index (h,) of the family (kind of changed noise level) of each of h hypotheses."""
     variance_factors: VarianceFactors
@@ -98,15 +98,15 @@ class NoiseHypothesisSet:
     """Noise hypotheses with a size for each group of readings: noise level, noise by target and by station, noise in
     intervals of time."""
     residual_space: ResidualSpace
-    """Residual space of the adjustment."""
+    """Whitened equations of the adjustment, projected off its unknowns (residual space)."""
 
     @classmethod
     def from_residual_space(
         cls, space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis], *, allows_noise_below_declared: bool = True
     ) -> NoiseHypothesisSet:
-        """Noise hypotheses in the residual space of an adjustment, from hypotheses with one size for all readings.
+        """Noise hypotheses for an adjustment with the whitened equations `space`.
 
-        The noise level of the recording may be below the declared one if `allows_noise_below_declared`.
+        The `hypotheses` have one size for all readings. `allows_noise_below_declared` permits a smaller noise level.
         """
         repeat_patterns = [normalised_sum_matrix_of_repeats(space, faces) for faces in REPETITION_KINDS]
         averaging_matrix = sp.csr_array(sp.vstack(repeat_patterns))
@@ -130,7 +130,7 @@ class NoiseHypothesisSet:
         )
 
     def log_likelihood_ratios(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log likelihood ratios (h, trials) of h hypotheses for each recording (trial), with independent readings.
+        """Log likelihood ratios (h, trials) of h noise levels for each recording (trial), with independent readings.
 
         `residual` (m, trials) are m whitened residuals of each recording (trial), and `redundancy` (m,) the redundancy
         numbers.
@@ -140,7 +140,7 @@ class NoiseHypothesisSet:
         return self.variance_factors.log_likelihood_ratios(squares, share)
 
     def log_evidence_by_family(self, residual: Floats | Floats32, redundancy: Floats) -> Floats:
-        """Log evidence (families, trials), with priors, of all kinds of noise hypotheses, with independent readings.
+        """Log evidence (families, trials), with priors, of all kinds of changed noise, with independent readings.
 
         The first rows of the result belong to `family_names`, the others to `group_noise_hypotheses`. `residual` (m,
         trials) are m whitened residuals of each recording (trial), and `redundancy` (m,) the redundancy numbers.
@@ -151,7 +151,7 @@ class NoiseHypothesisSet:
         )
 
     def _log_evidence_of_all_families(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence (families, trials) with priors of all kinds of noise hypotheses for a batch of recordings.
+        """Log evidence (families, trials) with priors of all kinds of changed noise for a batch of recordings.
 
         `residual` (m, trials) are m whitened residuals of each recording (trial).
         """
@@ -167,28 +167,28 @@ class NoiseHypothesisSet:
         )
 
     def _group_noise_log_evidence(self, change: GroupNoiseHypothesis, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence (trials,), with prior, of the noise hypothesis `change` with a size for each group of readings.
+        """Log evidence (trials,), with prior, of the changed noise `change` with a size for each group of readings.
 
         It is computed for a batch of recordings (trials).
         """
         return change.log_evidence(residual, redundancy) + self.log_prior_of_family(change.name)
 
     def log_prior_of_family(self, family_name: str) -> float:
-        """Log prior probability of a kind of noise hypothesis, a catalogue effect or `unknown`, given by its name."""
+        """Log prior probability of a kind of changed noise, given by its name: a catalogue effect or `unknown`."""
         return log_prior_of_noise_family(
             family_name, (*self.family_names, *(change.name for change in self.group_noise_hypotheses))
         )
 
     def _log_evidence_from_ratios(self, ratio: Floats) -> Floats:
-        """Log evidence (families, trials), with priors, of `family_names` from log likelihood ratios (h, trials).
+        """Log evidence (kinds of noise, trials), with priors, from the log likelihood `ratio` (h, trials).
 
-        The ratios are those of h hypotheses for each recording (trial).
+        The ratios are those of h changed noise levels for each recording (trial).
         """
         share = np.array([self.log_prior_of_family(family) for family in self.family_names])
         return log_mean_exp_by_group(ratio, self.family_indices, len(self.family_names)) + share[:, None]
 
     def log_restricted_likelihood_ratio(self, hypothesis_index: int, residual: Floats, model_basis: Floats) -> float:
-        """Log restricted likelihood ratio of the hypothesis with the index `hypothesis_index`, without approximation.
+        """Log restricted likelihood ratio of the noise with the index `hypothesis_index`, without approximation.
 
         `residual` (m,) are the m whitened residuals given the effects of a model. The e columns of `model_basis` (m, e)
         are the basis of the changes by these effects.
@@ -202,7 +202,7 @@ class NoiseHypothesisSet:
         """Log restricted likelihood ratio for variance factors, without approximation.
 
         `logs` (k,) are the logarithms of the factors of the `rows` (k,): readings, then means of repeated readings.
-        The other arguments are those of `log_restricted_likelihood_ratio`.
+        `residual` (m,) and `model_basis` (m, e) are given the effects of a model.
         """
         assert self.parameter_basis is not None
         weight, size = -np.expm1(-logs), len(residual)
@@ -218,7 +218,7 @@ class NoiseHypothesisSet:
     def _excess_over_diagonal_form(
         self, hypothesis_index: int, diagonal_log_ratio: float, residual: Floats, model_basis: Floats
     ) -> float:
-        """Log restricted likelihood ratio of a hypothesis minus its approximation `diagonal_log_ratio`.
+        """Log restricted likelihood ratio of a changed noise minus its approximation `diagonal_log_ratio`.
 
         The approximation treats the readings as independent. In a large network the result is 0.
         """
@@ -236,7 +236,7 @@ class NoiseHypothesisSet:
         residual: Floats,
         redundancy: Floats,
     ) -> float:
-        """Log evidence of a kind of noise hypothesis, with a fine grid of sizes of its most probable effect.
+        """Log evidence of a kind of changed noise, with a fine grid of sizes of its most probable effect.
 
         `hypothesis_indices` are the indices of the hypotheses of this kind, `best_index` is the one with the largest
         likelihood, and `log_likelihood_ratios` are their log likelihood ratios. For an effect with several parameters,
@@ -264,7 +264,7 @@ class NoiseHypothesisSet:
     def ranked_noise_hypotheses(
         self, residual: Floats, redundancy: Floats, model_basis: Floats
     ) -> list[tuple[float, NoiseHypothesis]]:
-        """Pairs of log evidence (with prior) and most probable hypothesis of each kind, by decreasing evidence.
+        """Pairs of log evidence (with prior) and most probable changed noise of each kind, by decreasing evidence.
 
         The m residuals `residual` (m,), redundancy numbers `redundancy` (m,) and the basis `model_basis` (m, e) of e
         dimensions are given the effects of a model.
@@ -288,9 +288,9 @@ class NoiseHypothesisSet:
         return sorted(ranking, key=lambda entry: -entry[0])
 
     def expected_variance_factors(self) -> Floats:
-        """Posterior mean (n, 3) of variance factors of the readings of n pointings, over all hypotheses and no change.
+        """Posterior mean (n, 3) of variance factors of the readings of n pointings, over all changes of the noise.
 
-        The mean of a variance s has the smallest expected loss s/t - 1 - log(s/t) of an estimate t (Stein's loss).
+        The mean is the estimate t of a variance s with the smallest expectation of s/t - 1 - log(s/t) (Stein).
         """
         space, residual, redundancy = (
             self.residual_space,
@@ -314,7 +314,7 @@ class NoiseHypothesisSet:
         return np.nan_to_num(mean_factors, nan=1.0)
 
     def _ranked_patterns(self, residual: Floats, redundancy: Floats) -> list[tuple[NoiseHypothesis, float]]:
-        """Most probable patterns of added variance, each with its most probable size, and log evidence of all sizes."""
+        """Most probable changes of the noise by one size, in fixed ratios between readings, and their log evidence."""
         ratio = self.log_likelihood_ratios(residual[:, None], redundancy)[:, 0]
         prior = np.array([self.log_prior_of_family(name) for name in self.family_names])
         prior -= np.log(np.bincount(self.family_indices))
@@ -333,7 +333,7 @@ class NoiseHypothesisSet:
     def ranked_group_noise(
         self, residual: Floats, redundancy: Floats, model_basis: Floats, rival_log_evidence: float
     ) -> list[tuple[GroupNoiseHypothesis, float]]:
-        """Pairs of a noise hypothesis for groups of readings or intervals of time, and its log evidence.
+        """Pairs of a changed noise of groups of readings or intervals of time, and its log evidence.
 
         Hypotheses limited to some targets, a station or a region are included if their log evidence is not far below
         `rival_log_evidence`, the largest log evidence of another hypothesis.
@@ -360,11 +360,11 @@ class NoiseHypothesisSet:
     def _group_noise_log_evidence_of_residuals(
         self, change: GroupNoiseHypothesis, residual: Floats, redundancy: Floats, model_basis: Floats
     ) -> float:
-        """Log evidence, with prior, of the noise hypothesis `change` with a size for each group, for one recording.
+        """Log evidence, with prior, of the changed noise `change` with a size for each group, for one recording.
 
-        For the noise level of a small network, the difference of the exact restricted likelihood from its diagonal form
-        is added, at the expected factors. The factors of other hypotheses are averages over noisy and other groups, at
-        which this difference means nothing.
+        For the noise level of a small network, the difference of the exact restricted likelihood from that for
+        independent readings is added. For other changes of the noise this difference has no meaning: their factors are
+        averages.
         """
         value = float(self._group_noise_log_evidence(change, residual[:, None], redundancy)[0])
         if self.parameter_basis is None or not isinstance(change, RecordingNoiseLevel):

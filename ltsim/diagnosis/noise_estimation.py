@@ -43,7 +43,7 @@ def reml_gain_function(
 
     The likelihood is the restricted likelihood. Each reading depends on at most one parameter. The effect changes the
     standard deviations `sigma` (n, 3) of n pointings, while the m residuals (m,) are whitened by the standard
-    deviations of the residual space.
+    deviations of the residual space. The residual space contains the whitened equations, projected off the unknowns.
     """
     faces, used, scale = getattr(effect, "shared_error_repetition", ""), space.is_used_reading, effect.plausible_sizes
     means = normalised_sum_matrix_of_repeats(space, faces) if faces else None
@@ -74,7 +74,7 @@ def _log_likelihood_ratios_of_groups(
 ) -> Floats:
     """Log restricted likelihood ratios (f, k) of k groups of readings for f variance factors, from `reml_gain`.
 
-    `reml_gain` is the result of `reml_gain_function`.
+    `reml_gain` is the function from variance parameters to the gain of restricted log likelihood by each of them.
     """
     base_gain = reml_gain(np.zeros(n_groups))
     return np.stack([reml_gain(np.full(n_groups, factor - 1.0)) - base_gain for factor in variance_factors])
@@ -105,8 +105,8 @@ def _heavy_tail_with_variances(hypothesis: NoiseHypothesis, reml_gain: Callable[
 
     Let p be the probability that a reading is in the tail, where its variance is multiplied by a factor f. Its expected
     weight is (1 - p) + p E[1 / f], as in the EM algorithm for scale mixtures (Little 1988, Applied Statistics 37, 23).
-    The fraction of readings in the tail is the fraction with the largest likelihood. `reml_gain` is the result of
-    `reml_gain_function`.
+    The fraction of readings in the tail is the fraction with the largest likelihood. `reml_gain` is the function from
+    variance parameters to the gain of restricted log likelihood by each of them.
     """
     n_readings = len(hypothesis.effect.parameters)
     log_ratios = _log_likelihood_ratios_of_groups(reml_gain, n_readings, HEAVY_TAIL_VARIANCE_FACTORS)
@@ -131,8 +131,8 @@ def with_estimated_sizes(space: ResidualSpace, nominal_sigma: Floats, hypothesis
 
     The hypothesis changes the standard deviations `nominal_sigma` (n, 3) of the readings of n pointings. The estimates
     are posterior means and standard deviations with a log-uniform prior of the variance factor, because the likelihood
-    of a variance is skew. The posteriors of several sizes are independent (`reml_gain_function`). A size on which no
-    reading depends is 0 with an infinite standard deviation.
+    of a variance is skew. The posteriors of several sizes are independent, because each reading depends on one size
+    only. A size on which no reading depends is 0 with an infinite standard deviation.
     """
     effect, scale = hypothesis.effect, hypothesis.effect.plausible_sizes
     if isinstance(effect, CentringVariance):

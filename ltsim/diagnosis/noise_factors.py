@@ -14,31 +14,36 @@ import scipy.sparse as sp
 from ltsim.core.arrays import Floats, Floats32, Ints, batches, stack_and_release
 
 MIN_NONZERO_FRACTION_OF_DENSE_PATTERN = 0.5
-"""Fraction of nonzero elements above which a pattern of added variance is stored as a dense row, which limits the
-memory. The fraction refers to the kinds of observations that the pattern changes."""
+"""Fraction of nonzero elements above which a pattern (added variance of each reading per unit of a size) is stored as a
+dense row, which limits the memory. The fraction refers to the kinds of observations that the pattern changes."""
 
 
 @dataclass(frozen=True)
 class VariancePatternGroup:
     """Group of patterns of added variance, and of noise hypotheses, each of which is a pattern times a size.
 
-    Either all patterns are sparse, or all are dense on the same observation equations.
+    Either all patterns are sparse, or all are dense on the same observation equations. A noise hypothesis says that the
+    noise of some readings differs from the declared noise. A pattern is the added variance of each reading per unit of
+    the size.
     """
 
     hypothesis_indices: Ints
-    """Indices (h,) of the h hypotheses of the group."""
+    """Indices (h,) of the h noise hypotheses (changed noise levels) of the group."""
     pattern_indices: Ints
-    """Index (h,) of the pattern of each of h hypotheses, in ascending order."""
+    """Index (h,), in ascending order, of the pattern (added variance of each reading per unit of a size) of each of h
+    hypotheses."""
     sizes: Floats32
-    """Size (h,) of each of h hypotheses; the variance factor of an observation is 1 plus the size times its added
-    variance."""
+    """Size (h,) of each of h noise hypotheses (changed noise levels); the variance factor of an observation is 1 plus
+    the size times its added variance."""
     row_indices: Ints | slice
-    """Indices (r,) of the r observation equations of dense patterns; all of them for sparse patterns."""
+    """Indices (r,) of the r observation equations of dense patterns (added variance of each reading per unit of a
+    size); all equations for sparse patterns."""
     added_variance: Floats32 | sp.csr_array
-    """Added variance (p, r) of r observations by p patterns per unit of the size, divided by the declared variance."""
+    """Added variance (p, r) of r observations per unit of the size, for p patterns of noise, divided by the declared
+    variance."""
 
     def log_likelihood_ratios(self, squares: Floats32, redundancy: Floats) -> Iterator[tuple[Ints, Floats]]:
-        """Iterator over batches: indices (b,) of b hypotheses, and log likelihood ratios (b, trials) by recording.
+        """Iterator over batches: indices (b,) of b noise levels, and log likelihood ratios (b, trials) by recording.
 
         The log likelihood ratio is half the sum over observations of (1 - 1/s) r^2 - k log s, with the variance factors
         s, residuals r and redundancy numbers k.
@@ -58,7 +63,7 @@ class VariancePatternGroup:
             yield self.hypothesis_indices[part], 0.5 * (fit - (logs @ redundancy)[:, None])
 
     def affected_rows_and_log_factors(self, member_index: int) -> tuple[Ints, Floats]:
-        """Indices (r,) of the r observations whose noise a hypothesis changes, and logs (r,) of its variance factors.
+        """Indices (r,) of the r observations with changed noise by a hypothesis, and logs (r,) of variance factors.
 
         `member_index` is the index of the hypothesis in this group.
         """
@@ -98,19 +103,23 @@ hypotheses with this pattern."""
 
 @dataclass(frozen=True)
 class VarianceFactors:
-    """Variance factors of noise hypotheses, each of which is in one `VariancePatternGroup`."""
+    """Variance factors of noise hypotheses, each of which is in one `VariancePatternGroup`.
+
+    A noise hypothesis says that the noise of some readings differs from the declared noise.
+    """
 
     n_hypotheses: int
-    """Number h of hypotheses."""
+    """Number h of noise hypotheses (changed noise levels)."""
     groups: tuple[VariancePatternGroup, ...]
-    """Groups of patterns of added variance, to one of which each hypothesis belongs."""
+    """Groups of patterns (added variance of each reading per unit of a size), to one of which each hypothesis
+    belongs."""
 
     @classmethod
     def from_patterns(cls, patterns: Iterable[VariancePatternWithSizes], observation_kinds: Ints) -> VarianceFactors:
         """Variance factors from the patterns of added variance of consecutive hypotheses.
 
-        `observation_kinds` (m,) is the kind of each of the m observations. Dense patterns are stored for all
-        observations of the kinds that they change.
+        `observation_kinds` (m,) is the kind of each of the m observations. A pattern is the added variance of each
+        observation per unit of a size. Dense patterns are stored for all observations of the kinds that they change.
         """
         dense: dict[tuple[bool, ...], tuple[list[Floats32], list[FirstIndexAndSizes]]] = {}
         sparse: list[tuple[Ints, Floats32]] = []
@@ -147,7 +156,7 @@ class VarianceFactors:
         return cls(n_hypotheses, tuple(pattern_groups))
 
     def log_likelihood_ratios(self, squares: Floats32, redundancy: Floats) -> Floats:
-        """Log likelihood ratios (h, trials) of all h hypotheses for each recording (trial).
+        """Log likelihood ratios (h, trials) of all h changed noise levels for each recording (trial).
 
         `squares` (m, trials) are squares of m whitened residuals, and `redundancy` (m,) their redundancy numbers.
         """
@@ -167,7 +176,8 @@ class VarianceFactors:
 
 
 FirstIndexAndSizes = tuple[int, tuple[float, ...]]
-"""Index of the first hypothesis of a pattern of added variance, and the sizes of its hypotheses."""
+"""Index of the first hypothesis of a pattern (added variance of each reading per unit of a size), and the sizes of its
+hypotheses."""
 
 
 def _pattern_group(
@@ -175,7 +185,8 @@ def _pattern_group(
 ) -> VariancePatternGroup:
     """Group of patterns of added variance with their hypotheses, on the observation equations `row_indices`.
 
-    `pattern_hypotheses` has the index of the first hypothesis and the sizes of each pattern.
+    A pattern is the added variance of each reading per unit of a size. `pattern_hypotheses` has the index of the first
+    hypothesis and the sizes of each pattern.
     """
     members = np.concatenate([first + np.arange(len(sizes)) for first, sizes in pattern_hypotheses])
     pattern_indices = np.repeat(np.arange(len(pattern_hypotheses)), [len(sizes) for _, sizes in pattern_hypotheses])
@@ -186,7 +197,8 @@ def _pattern_group(
 def _sparse_pattern_matrix(row_entries: Sequence[tuple[Ints, Floats32]], n_rows: int) -> sp.csr_array:
     """Sparse matrix (p, n_rows) of p patterns on `n_rows` observations, from its nonzero elements.
 
-    `row_entries` are the indices and the values of the nonzero elements of each pattern.
+    A pattern is the added variance of each observation per unit of a size. `row_entries` are the indices and the values
+    of the nonzero elements of each pattern.
     """
     ends = np.cumsum([0, *(len(row_indices) for row_indices, _ in row_entries)]).astype(np.int32)
     row_indices, values = (np.concatenate([part[k] for part in row_entries]) for k in (0, 1))

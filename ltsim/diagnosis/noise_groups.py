@@ -44,7 +44,7 @@ NOISY_OBSERVABLE_SETS: tuple[tuple[str, ...], ...] = (*((name,) for name in OBSE
 
 @dataclass(frozen=True)
 class GroupNoiseHypothesis:
-    """Noise hypothesis with a separate variance factor for each of g groups of readings."""
+    """Noise hypothesis (noise other than declared) with a separate variance factor for each of g groups of readings."""
 
     effect: CandidateNoiseEffect
     """Effect on the noise level, with one parameter per group of readings."""
@@ -55,7 +55,7 @@ class GroupNoiseHypothesis:
 
     @property
     def name(self) -> str:
-        """Name of this kind of noise hypothesis."""
+        """Name of this kind of noise hypothesis (noise other than declared)."""
         return self.effect.name
 
     def log_evidence_by_group(self, residual: Floats, redundancy: Floats) -> Floats:
@@ -73,14 +73,16 @@ class GroupNoiseHypothesis:
     def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
         """Log evidence (trials,) of the noise hypothesis for each recording (trial), from m residuals (m, trials).
 
-        `redundancy` (m,) are the redundancy numbers of the m residuals.
+        `redundancy` (m,) are the redundancy numbers of the m residuals. A noise hypothesis says that the noise of some
+        readings differs from the declared noise.
         """
         raise NotImplementedError
 
     def limited_to_most_probable_place(self, residual: Floats, redundancy: Floats) -> tuple[GroupNoiseHypothesis, ...]:
         """Copies of the noise hypothesis limited to the targets, the station or the region with the largest evidence.
 
-        The result is empty for a hypothesis that cannot be limited in this way.
+        The result is empty for a hypothesis that cannot be limited in this way. A noise hypothesis says that the noise
+        of some readings differs from the declared noise.
         """
         del residual, redundancy
         return ()
@@ -123,7 +125,8 @@ class RecordingNoiseLevel(GroupNoiseHypothesis):
     def from_residual_space(cls, space: ResidualSpace, *, allows_noise_below_declared: bool) -> RecordingNoiseLevel:
         """Noise level of a recording, from the residual space of its adjustment.
 
-        It is below the declared level only if `allows_noise_below_declared`.
+        It is below the declared level only if `allows_noise_below_declared`. The residual space contains the whitened
+        equations, projected off the unknowns.
         """
         level, kind = NoiseLevel(), np.nonzero(space.is_used_reading)[1]
         group_indicators = sp.csr_array(
@@ -140,15 +143,15 @@ class RecordingNoiseLevel(GroupNoiseHypothesis):
     def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
         """Log evidence (trials,) of a changed noise level for each recording (trial), from m residuals (m, trials).
 
-        A common factor of each of `NOISY_OBSERVABLE_SETS`, and separate factors of some observables, have equal prior
-        probabilities.
+        A common factor of each set of observables in `NOISY_OBSERVABLE_SETS`, and separate factors of some observables,
+        have equal prior probabilities.
         """
         alternatives = self._log_evidence_of_alternatives(residual, redundancy)
         return log_sum_exp(alternatives) - np.log(len(alternatives))
 
     @property
     def _common_groups(self) -> list[tuple[Floats, RecordingNoiseLevel]]:
-        """Indicators (g,) of the observables of each of `NOISY_OBSERVABLE_SETS`, and noise level of this set."""
+        """Indicators (g,) of the observables of each set in `NOISY_OBSERVABLE_SETS`, and noise level of the set."""
         flags = [np.isin(OBSERVABLES, names).astype(np.float64) for names in NOISY_OBSERVABLE_SETS]
         return [(f, replace(self, group_indicators=sp.csr_array(f[None, :] @ self.group_indicators))) for f in flags]
 
@@ -189,7 +192,8 @@ class GroupNoiseMixture(GroupNoiseHypothesis):
     def candidates(cls, space: ResidualSpace) -> tuple[GroupNoiseMixture, ...]:
         """Hypotheses of separate noise by target and by station, and of a heavy tail, in a residual space.
 
-        Targets and stations have a common factor for all observables, or a separate factor for each.
+        Targets and stations have a common factor for all observables, or a separate factor for each. The residual space
+        contains the whitened equations, projected off the unknowns.
         """
         banks, kinds = [], len(OBSERVABLES)
         for each, per_observable in product(("target", "station"), (False, True)):
@@ -230,7 +234,7 @@ class GroupNoiseMixture(GroupNoiseHypothesis):
 
     @property
     def name(self) -> str:
-        """Name of this kind of noise hypothesis."""
+        """Name of this kind of noise hypothesis (noise other than declared)."""
         return f"unknown:noise:each {getattr(self.effect, 'group_kind', '')}"
 
     def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
@@ -242,7 +246,7 @@ class GroupNoiseMixture(GroupNoiseHypothesis):
         return log_sum_exp(self._log_evidence_by_fraction(residual, redundancy)) - np.log(len(NOISY_GROUP_FRACTIONS))
 
     def _log_evidence_by_fraction(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence (q, trials) for each recording (trial) and each of the q values of `NOISY_GROUP_FRACTIONS`."""
+        """Log evidence (q, trials) for each recording (trial) and each of q fractions of noisy groups."""
         each = self.log_evidence_by_group(residual, redundancy)
         return np.stack([np.logaddexp(np.log1p(-q), np.log(q) + each).sum(axis=0) for q in NOISY_GROUP_FRACTIONS])
 

@@ -15,17 +15,19 @@ class NoiseHypothesis:
     """Noise hypothesis: an effect that changes the noise level, with tried or estimated sizes of its parameters."""
 
     family_name: str
-    """Name of the kind of noise hypothesis; it begins with `unknown` for a kind outside the catalogue."""
+    """Name of the kind of noise hypothesis (noise other than declared); it begins with `unknown` for a kind outside the
+    catalogue."""
     effect: CandidateNoiseEffect
     """Effect that changes the noise level."""
     sizes: tuple[float, ...]
-    """Values [SI] of the parameters of the effect."""
+    """Values [SI] of the parameters of the effect on the noise, such as added variances divided by the declared
+    variance."""
     size_sigmas: tuple[float, ...] = ()
     """Standard deviations of estimated sizes [SI]; empty if the sizes are values of a grid that are tried."""
     chi2_drop: float = 0.0
     """Twice the log restricted likelihood ratio of the noise with the estimated sizes to the declared noise."""
     log_evidence: float = 0.0
-    """Log evidence of the noise hypothesis, with its prior."""
+    """Log evidence of the noise hypothesis (noise other than declared), with its prior."""
     log_occam_factor: float = 0.0
     """Log of the Occam factor of separate noise of many groups: log evidence minus log likelihood ratio of the
     estimates; 0 for other hypotheses."""
@@ -36,7 +38,10 @@ class NoiseHypothesis:
 
     @property
     def log_prior(self) -> float:
-        """Log prior probability of this kind of noise hypothesis: of the catalogue, or outside it."""
+        """Log prior probability of this kind of noise hypothesis: of the catalogue, or outside it.
+
+        A noise hypothesis says that the noise of some readings differs from the declared noise.
+        """
         return log_prior_of_each_explanation("scatter" if self.family_name.startswith("unknown") else "noise", 1)
 
     @property
@@ -49,7 +54,10 @@ class NoiseHypothesis:
         return min(self.log_evidence - 0.5 * self.chi2_drop, self.log_prior)
 
     def sum_with(self, added_change: NoiseHypothesis) -> NoiseHypothesis:
-        """Sum of this noise hypothesis and a further one with the same effect: their sizes are added."""
+        """Sum of this noise hypothesis and a further one with the same effect: their sizes are added.
+
+        A noise hypothesis says that the noise of some readings differs from the declared noise.
+        """
         return replace(
             self,
             sizes=tuple(a + b for a, b in zip(self.sizes, added_change.sizes, strict=True)),
@@ -63,7 +71,8 @@ def log_prior_of_noise_family(family_name: str, family_names: Collection[str]) -
     """Log prior probability of the kind of noise hypothesis `family_name` among the kinds `family_names`.
 
     A kind is a catalogue effect, or begins with `unknown`. The probability of a change in the catalogue is divided in
-    proportion to the base rates of the effects.
+    proportion to the base rates of the effects. A noise hypothesis says that the noise of some readings differs from
+    the declared noise.
     """
     in_catalogue = [name for name in family_names if not name.startswith("unknown")]
     if family_name.startswith("unknown"):

@@ -15,14 +15,15 @@ from ltsim.scene.regions import candidate_regions
 from ltsim.scene.sightings import Sightings
 
 ADDED_VARIANCES_OF_ALL_READINGS = (0.25, 0.6, 1.5, 4.0, 12.0)
-"""Added variances, divided by the declared variance, that a search tries for all readings."""
+"""Added variances, divided by the declared variance, that a diagnosis tries for all readings."""
 ADDED_VARIANCES_AT_PATTERN_MAXIMUM = (2.0, 6.0, 20.0)
-"""Added variances, divided by the declared variance, that a search tries at the maximum of a variance function."""
+"""Added variances, divided by the declared variance, that a diagnosis tries at the maximum of a variance function
+(variance as a function of a covariate or place)."""
 ADDED_VARIANCES_OF_TARGETS = (3.0, 15.0, 75.0)
-"""Added variances, divided by the declared variance, that a search tries for the readings to a target."""
+"""Added variances, divided by the declared variance, that a diagnosis tries for the readings to a target."""
 MAX_POINTINGS_FOR_NOISE_BANDS = 2000
-"""Largest number of pointings for which a search tries larger noise in intervals of a covariate, to limit the computing
-time."""
+"""Largest number of pointings for which a diagnosis tries larger noise in intervals of a covariate, to limit the
+computing time."""
 NOISY_SECTOR_WIDTHS = (np.pi / 4.0, np.pi / 2.0)
 """Widths [rad] of the sectors of horizontal directions in which the noise may be larger."""
 NOISY_COVARIATE_QUANTILES = (0.25, 0.5, 0.75)
@@ -31,15 +32,18 @@ MIN_POINTING_FRACTION_OF_SECTOR = 0.05
 """Smallest fraction of the pointings inside a sector of directions, and also outside it, for which the sector is
 tried."""
 NOISY_REGION_SHAPES = ("xyz", "xy", "x", "y")
-"""Shapes, as bounded axes, of the regions of the hall in which lines of sight may have larger noise."""
+"""Shapes of the regions of the hall in which lines of sight may have larger noise, given by the axes along which a
+region is bounded."""
 
 
 def candidate_variance_functions(
     sightings: Sightings, instrument_places: Sequence[LawPlace]
 ) -> Iterator[tuple[str, VarianceFunction, tuple[float, ...]]]:
-    """Noise hypotheses outside the catalogue: tuples of name, variance function, and sizes to be tried.
+    """Noise hypotheses outside the catalogue: tuples of name, variance function, sizes to be tried.
 
-    `instrument_places` has the set-ups of each instrument, if there are several instruments.
+    A variance function gives the variance as a function of a covariate or place. `instrument_places` has the set-ups of
+    each instrument, if there are several instruments. A noise hypothesis says that the noise of some readings differs
+    from the declared noise.
     """
     regressors = ["elevation", "distance", "time", "station-time", "move-azimuth", "move-elevation"]
     regressors += ["incidence"] if np.isfinite(sightings.incidence_angle).any() else []

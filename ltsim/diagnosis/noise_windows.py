@@ -30,16 +30,19 @@ from ltsim.scene.regions import candidate_regions
 NOISY_WINDOW_VARIANCE_FACTORS = np.geomspace(2.0, 100.0, 7)
 """Factors on the variance in noisy time windows, over which the evidence is averaged."""
 NOISY_STATE_VARIANCE_FACTOR_GRID = np.geomspace(1.5, 150.0, 33)
-"""Factors on the variance in noisy time windows, in steps of 15 %, over which its posterior mean is computed."""
+"""Factors on the variance in noisy time windows, in steps of 15 %, over which the posterior mean of the factor is
+computed."""
 EXPECTED_NOISY_WINDOW_COUNTS = np.array([1.5, 6.0])
 """Expected numbers of noisy time windows in a recording, over which the evidence is averaged."""
 MAX_CHAIN_STEP_LOG_LIKELIHOOD_RATIO = float(np.log(np.sqrt(np.finfo(np.float64).max)))
-"""Limit, 355, to which the log likelihood ratio of a step of the Markov chain is clipped. The product of two likelihood
-ratios is then a finite floating-point number."""
+"""Limit, 355, to which the log likelihood ratio of a step of the Markov chain (quiet or noisy in each step of time) is
+clipped. The product of two likelihood ratios is then a finite floating-point number."""
 MAX_CHAIN_STEPS = 200
-"""Largest number of steps of the Markov chain; in a recording with more pointings a step contains several pointings."""
+"""Largest number of steps of the Markov chain of states in time (quiet or noisy); in a recording with more pointings a
+step contains several pointings."""
 NOISY_WINDOW_REGION_SHAPES = ("x", "y", "z", "xy")
-"""Shapes, as bounded axes, of the regions of the hall in which noise may be larger for a time."""
+"""Shapes of the regions of the hall in which noise may be larger for a time, given by the axes along which a region is
+bounded."""
 NOISY_OBSERVABLE_SET_INDICATORS = np.array(
     [[name in acts for name in OBSERVABLES] for acts in NOISY_OBSERVABLE_SETS], dtype=np.float64
 )
@@ -48,12 +51,16 @@ NOISY_OBSERVABLE_SET_INDICATORS = np.array(
 
 @dataclass(frozen=True)
 class NoiseWindows(GroupNoiseHypothesis):
-    """Larger noise in time windows; a group of readings is one observable in one step of the Markov chain."""
+    """Larger noise in time windows; a group of readings is one observable in one step of a Markov chain.
+
+    The chain is quiet or noisy in each step of time.
+    """
 
     step_edge_times: Floats
-    """Start [s] of each step of the Markov chain, and end of the last step, (steps + 1,)."""
+    """Start [s] of each step of the Markov chain (quiet or noisy in each step), and end of the last step, (steps +
+    1,)."""
     residual_space: ResidualSpace
-    """Residual space of the adjustment."""
+    """Whitened equations of the adjustment, projected off its unknowns (residual space)."""
     n_tried_places: int = 1
     """Number of places (groups of targets, set-ups, regions) from which the place of this noise was selected; 1 for
     noise in the whole network."""
@@ -87,11 +94,11 @@ class NoiseWindows(GroupNoiseHypothesis):
 
     @property
     def name(self) -> str:
-        """Name of this kind of noise hypothesis."""
+        """Name of this kind of noise hypothesis (noise other than declared)."""
         return "unknown:noise:windows"
 
     def _log_likelihood_ratios(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log likelihood ratios (steps, s, f, trials) of the noisy to the quiet state in each step of the chain.
+        """Log likelihood ratios (steps, s, f, trials) of the noisy to the quiet state in each step of time.
 
         There are s sets of observables and f variance factors. `residual` (m, trials) are m whitened residuals of each
         recording (trial), and `redundancy` (m,) the redundancy numbers.
@@ -106,7 +113,7 @@ class NoiseWindows(GroupNoiseHypothesis):
 
     @property
     def _state_change_probabilities(self) -> Floats:
-        """Probabilities of a change of state from a step of the chain to the next, one per expected number of windows.
+        """Probabilities of a change between quiet and noisy in a step of time, one per expected number of windows.
 
         The expected numbers of noisy windows are `EXPECTED_NOISY_WINDOW_COUNTS`.
         """
@@ -162,7 +169,7 @@ class NoiseWindows(GroupNoiseHypothesis):
         return added.ravel()
 
     def most_likely_effect(self, residual: Floats, redundancy: Floats) -> VarianceFunction:
-        """Effect on the noise with the observables and time windows of the most probable sequence of states.
+        """Effect on the noise with observables and time windows of the most probable sequence of states (noisy, quiet).
 
         The sequence is computed by Viterbi's algorithm.
         """
@@ -203,7 +210,10 @@ class NoiseWindows(GroupNoiseHypothesis):
         return (replace(self, effect=whole, group_indicators=group_indicators, n_tried_places=len(places)),)
 
     def _log_evidence_of_effect(self, effect: VarianceFunction, residual: Floats, redundancy: Floats) -> float:
-        """Log evidence of a noise hypothesis with given time windows and place, averaged over variance factors."""
+        """Log evidence of a noise hypothesis with given time windows and place, averaged over variance factors.
+
+        A noise hypothesis says that the noise of some readings differs from the declared noise.
+        """
         space = self.residual_space
         added = (effect.variance(space.sightings, space.reading_sigmas, np.ones(1)) / space.reading_sigmas**2)[
             space.is_used_reading
@@ -218,17 +228,18 @@ class NoiseWindows(GroupNoiseHypothesis):
     def _window_edge_times(self, states: Bools) -> tuple[float, ...]:
         """Times [s] at which the noise becomes larger and smaller, alternately.
 
-        `states` (steps,) flag the noisy steps of the chain.
+        `states` (steps,) flag the steps of time with larger noise.
         """
         edges = np.flatnonzero(np.diff(np.concatenate([[False], states, [False]]).astype(int)))
         return tuple(self.step_edge_times[edges].tolist())
 
 
 def _most_probable_states(log_likelihood_ratios: Floats, change_probability: float) -> tuple[int, Bools]:
-    """Index of the Markov chain with the most probable sequence of states, and flags (steps,) of its noisy steps.
+    """Index of the most probable of c Markov chains, and flags (steps,) of its steps of time with larger noise.
 
     At least one step is noisy. `log_likelihood_ratios` (steps, c) are the log likelihood ratios of the noisy to the
-    quiet state in c chains. `change_probability` is the probability of a change of state from a step to the next.
+    quiet state of the readings in c chains. `change_probability` is the probability of a change of state from a step to
+    the next.
     """
     score, stays = np.zeros((log_likelihood_ratios.shape[1], 2)), []
     for ratio in log_likelihood_ratios:

@@ -42,17 +42,20 @@ class NullEnsemble:
     """
 
     residual_space: ResidualSpace
-    """Residual space of the adjustment, with m observation equations."""
+    """The m whitened observation equations of the adjustment, projected off its unknowns (residual space)."""
     probe_vectors: Floats32
     """Vectors (m, 1 + t + u) side by side: the residuals given the effects of a model, the residuals of t simulated
     recordings, and an orthonormal basis of u estimated parameters. With `uses_monte_carlo_gram` the basis is replaced
     by u further simulated residuals."""
     n_trials: int
-    """Number t of simulated recordings that give the p-value of a search; 0 for a search without p-value."""
+    """Number t of simulated recordings that give the p-value of a search for effects; 0 for a search without
+    p-value."""
     model_basis: Floats
-    """Orthonormal basis (m, e), e vectors, of the projected design columns of the effects in the model."""
+    """Orthonormal basis (m, e), e vectors, of the projected design columns of the effects in the model. Projected
+    means: without the part that the unknowns of the adjustment absorb."""
     is_first_screening: bool
-    """True for the first screening of a residual space, whose Gram matrices later screenings with a model use again."""
+    """True for the first screening (approximate evaluation of all effects) of a residual space (whitened equations
+    projected off the unknowns), whose Gram matrices later screenings with a model use again."""
     uses_monte_carlo_gram: bool
     """True if the Gram matrices of the effects are estimated as means over simulated residuals.
 
@@ -61,9 +64,9 @@ class NullEnsemble:
 
     @classmethod
     def from_residual_space(cls, space: ResidualSpace, seed: int, n_trials: int) -> NullEnsemble:
-        """Null ensemble of an adjustment without effects, with `n_trials` recordings simulated from `seed`.
+        """Ensemble for an adjustment without effects, with `n_trials` recordings simulated from `seed`.
 
-        `space` is the residual space of the adjustment.
+        `space` has the whitened equations of the adjustment, projected off its unknowns (residual space).
         """
         basis = parameter_basis_of_small_network(space)
         n_basis_vectors = N_MONTE_CARLO_GRAM_VECTORS if basis is None else basis.shape[1]
@@ -78,7 +81,7 @@ class NullEnsemble:
         return cls(space, vectors, n_trials, empty_basis, is_first_screening=True, uses_monte_carlo_gram=basis is None)
 
     def with_model(self, residual: Floats, model_basis: Floats) -> NullEnsemble:
-        """Null ensemble for residuals `residual` (m,) given a set of effects with the basis `model_basis` (m, e).
+        """Ensemble for the residuals `residual` (m,) given a set of effects with the basis `model_basis` (m, e).
 
         The e orthonormal vectors of the basis span the changes by the effects. The ensemble has no simulated
         recordings, because the Gram matrices and null values of the adjustment without effects are used again.
@@ -100,13 +103,14 @@ class NullEnsemble:
         return row_of_reading
 
     def vectors_of_pointings(self, pointings: Ints) -> Floats32:
-        """Elements (p, 3, v) of the v probe vectors for the readings of p pointings; undefined for unused readings."""
+        """Elements (p, 3, v) of v vectors (residuals, simulations, basis) for p pointings; undefined if unused."""
         return self.probe_vectors[self._row_of_reading[pointings]]
 
     def split_products(self, scores: Floats | Floats32) -> tuple[Any, Any, Any]:
         """Products of k columns with residuals (..., k), t trials (..., k, t) and u basis vectors (..., k, u).
 
-        They are the parts of `scores` (..., k, v), the products of k design columns with all v probe vectors.
+        They are the parts of `scores` (..., k, v), the products of k design columns with all v vectors of the ensemble
+        side by side.
         """
         edge = 1 + self.n_trials
         return scores[..., 0], scores[..., 1:edge], scores[..., edge:]
@@ -114,10 +118,13 @@ class NullEnsemble:
     def projected_gram(self, scores: Floats | Floats32, unprojected_gram: Floats) -> Floats:
         """Gram matrices (..., k, k) of the k design columns of an effect after projection onto the residual space.
 
+        The residual space contains the whitened equations, projected off the unknowns.
+
         Parameters
         ----------
         scores : (..., k, v) float
-            Products of the columns with all v vectors, without effects in the model.
+            Products of the columns with the v vectors of the ensemble (residuals, simulated residuals, basis), without
+            effects in the model.
         unprojected_gram : (..., k, k) float
             Products of the columns with each other, without projection.
         """

@@ -41,10 +41,10 @@ may be the result of an effect."""
 def causes_corrected_before_search(selection: CauseSelection) -> list[CauseHypothesis]:
     """Selected simple causes with sufficient evidence that are corrected before the search for effects.
 
-    `selection` has the simple causes of the recording. Those that are corrected are blunders in rows of the recording,
-    and reference values that contradict the readings. Shifts of readings are included only if any shift is gross,
-    because a search that is linear in the effects cannot explain a gross shift. Then all shifts are included, because
-    each was tested given the others. Changed noise levels are not included.
+    `selection` has the simple causes (such as outliers) of the recording. Those that are corrected are blunders in rows
+    of the recording, and reference values that contradict the readings. Shifts of readings are included only if any
+    shift is gross, because the search for effects, which is linear in their sizes, cannot explain a gross shift. Then
+    all shifts are included, because each was tested given the others. Changed noise levels are not included.
     """
     fit, chosen = selection.fit, [c.hypothesis for c in selection.selected_hypotheses if c.is_certain]
     shifts = [h for h in chosen if isinstance(h.model_change, ReadingShiftChange | CentringChange)]
@@ -56,7 +56,10 @@ def causes_corrected_before_search(selection: CauseSelection) -> list[CauseHypot
 
 
 def effects_of_uncorrected_causes(selection: CauseSelection) -> tuple[CandidateEffect, ...]:
-    """Catalogue effects among the simple causes that are not corrected before the search, the most certain first."""
+    """Catalogue effects among simple causes that are not corrected before other effects are sought, by certainty.
+
+    Simple causes are, for example, outliers and moved targets.
+    """
     corrected = causes_corrected_before_search(selection)
     changes = (
         c.hypothesis.model_change
@@ -91,7 +94,8 @@ def adjustment_without_blunders(
     """Adjustment without blunders, flags (n, 3) of the readings of n pointings in it, and findings on blunders.
 
     The readings are corrected by the estimated blunders, whose uncertainty is in the model. `selection` has the simple
-    causes of the recording. `readmitted_mask` (n, 3) flags readings that are used although they count as single errors.
+    causes of the recording. `construction` is the geometric error model of the instruments. `readmitted_mask` (n, 3)
+    flags readings that are used although they count as single errors.
     """
     fit, mistakes = selection.fit, causes_corrected_before_search(selection)
     errors = single_error_mask(fit)
@@ -126,5 +130,5 @@ def axes_point_findings(final_adjustment: Adjustment, declared_recording: Record
 
 
 def _corrected_before_search(finding: Finding) -> Finding:
-    """Copy of a finding that is marked as corrected before the search."""
+    """Copy of a finding that is marked as corrected before the search for effects."""
     return finding.model_copy(update={"is_corrected_before_search": True})

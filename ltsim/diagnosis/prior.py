@@ -33,17 +33,20 @@ CAUSE_KIND_DESCRIPTIONS = {
     "scatter": "another changed noise level",
     "constant": ("an instrument constant that contradicts the other instruments, its history or a declared correction"),
 }
-"""Description for users of each kind of cause of a misfit, by the keys of `PRIOR_PROBABILITY_BY_CAUSE_CLASS`."""
+"""Description, shown to users, of each kind of cause of a misfit, by the keys of `PRIOR_PROBABILITY_BY_CAUSE_CLASS`."""
 P_UNMODELLED_CAUSE = 0.2
-"""Prior probability that a cause is neither a catalogue effect nor an empirical law, but resembles one of these."""
+"""Prior probability that a cause is neither a catalogue effect nor an empirical law (error as a function of
+covariates), but resembles one of these."""
 P_EVEN_ODDS = 0.5
 """Prior probability of a statement that is as probable as its contrary. It is used twice: an unmodelled cause acts on
-the observable of the effect that it resembles; the components of an empirical law have a fixed ratio."""
+the observable of the effect that it resembles; the components of an empirical law (error as a function of covariates)
+have a fixed ratio."""
 MAX_P_OF_TEST_FINDINGS = 1.0 - P_UNMODELLED_CAUSE * P_EVEN_ODDS
 """Largest probability that is reported for findings of tests, whose probabilities do not include an unmodelled
 cause."""
 PRIOR_PROBABILITY_BY_PLACE_KIND = {"everywhere": 0.5, "set-up": 0.2, "instrument": 0.1, "target": 0.1, "group": 0.1}
-"""Prior probability of each kind of place (set-up, instrument, target and so on) where an empirical law acts."""
+"""Prior probability of each kind of place (set-up, instrument, target and so on) where an empirical law (error as a
+function of covariates) acts."""
 PRIOR_PROBABILITY_BY_RESPONSE_KIND = {
     "reading": 0.5,
     "instrument": 0.17,
@@ -53,21 +56,24 @@ PRIOR_PROBABILITY_BY_RESPONSE_KIND = {
     "reflector": 0.02,
     "air": 0.04,
 }
-"""Prior probability of each kind of response, the quantity that an empirical law changes. An unknown error mostly
-affects only a reading. If all targets seem to move, it is more probable that the stands move."""
+"""Prior probability of each kind of response, the quantity that an empirical law (error as a function of covariates)
+changes. An unknown error mostly affects only a reading. If all targets seem to move, it is more probable that the
+stands move."""
 PRIOR_PROBABILITY_BY_RESPONSE_KIND_AT_TARGETS = {"reading": 0.15, "target": 0.75, "reflector": 0.1}
-"""Prior probability of each kind of quantity (response) that an empirical law changes if it acts at some targets only.
-Mostly the target itself changes, because an error of the instrument does not depend on the target."""
+"""Prior probability of each kind of quantity that an empirical law (error as a function of covariates) changes if it
+acts at some targets only. Mostly the target itself changes, because an error of the instrument does not depend on the
+target."""
 PRIOR_WEIGHT_BY_LAW_FORM = {"curve": 0.5, "formula": 0.4, "fine": 0.1, "cycle": 0.2, "members": 0.2}
-"""Prior weights of the functional forms that an empirical law may have. The weights are divided by their sum over the
-forms that are possible for the law. The most probable forms are a curve and a formula."""
+"""Prior weights of the functional forms that an empirical law (error as a function of covariates) may have. The weights
+are divided by their sum over the forms that are possible for the law. The most probable forms are a curve and a
+formula."""
 P_RARE_LAW_FORM = 0.1
-"""Prior probability of each rarer form of an empirical law: a few steps and ramps; a law that is switched on and off;
-separate coefficients at each set-up; a law at one set-up alone, except for the changed parts in
-`P_SINGLE_SET_UP_BY_CHANGED_PART`."""
+"""Prior probability of each rarer function of an empirical law (error as a function of covariates): a few steps and
+ramps; a law that is switched on and off; separate coefficients at each set-up; a law at one set-up alone, except for
+the changed parts in `P_SINGLE_SET_UP_BY_CHANGED_PART`."""
 P_SINGLE_SET_UP_BY_CHANGED_PART = {"stand": 0.5}
-"""Prior probability that an empirical law acts at only one set-up, by the part of the system that it changes. It is
-large for stands, which differ between set-ups more than instruments do."""
+"""Prior probability that an empirical law (error as a function of covariates) acts at only one set-up, by the part of
+the system that it changes. It is large for stands, which differ between set-ups more than instruments do."""
 MAX_MODEL_EFFECTS = 5
 """Largest number of effects in a model, and largest number of reported instrument constants."""
 MIN_EFFECT_LOG_EVIDENCE = 2.0

@@ -12,7 +12,8 @@ CAUSE_KIND_BY_EFFECT_NAME = {
     "smr-offset": "reflector-radius",
     "target-moved": "target-moved",
 }
-"""Kind of the simple cause whose recommended action is used after a finding, by the name of the catalogue effect."""
+"""Kind of the simple cause (such as outliers or moved targets) whose recommended action is used after a finding, by the
+name of the catalogue effect."""
 
 
 def inspection_action(finding: Finding) -> str:
@@ -42,7 +43,8 @@ def inspection_action(finding: Finding) -> str:
 def _confirmation_text(finding: Finding) -> str:
     """Measurement that confirms the effect of a finding, as text after a semicolon.
 
-    The text is empty for an empirical law outside the catalogue, and if no measurement is needed.
+    The text is empty for an empirical law outside the catalogue, and if no measurement is needed. An empirical law
+    describes an error as a function of covariates such as time.
     """
     if not finding.is_catalogued:
         return ""

@@ -57,7 +57,7 @@ class FindingEvidence(Entry):
     parameters: int
     """Number of estimated parameters of the finding."""
     p_value: OptionalFloat = None
-    """p-value of the finding, corrected for the number of hypotheses of the complete search. It follows from n
+    """p-value of the finding, corrected for the number of hypotheses of the search for effects. It is the rank among n
     simulated recordings without effects, and is never below 1 / (n + 1)."""
     probability: Finite = 1.0
     """Posterior probability of this effect against all other explanations."""
@@ -121,7 +121,8 @@ class Finding(Entry):
     is_catalogued: bool = Field(default=True, alias="known")
     """True if the cause is an effect of the catalogue, false for an unknown effect."""
     is_corrected_before_search: bool = False
-    """True if the readings were corrected by the finding, or were left out, before the global test and the search."""
+    """True if the readings were corrected by the finding, or were left out, before the global test and the search for
+    effects."""
     sentence: str = ""
     """Description of the finding in a few sentences."""
     where: FindingScope = FindingScope()
@@ -174,8 +175,8 @@ class Misfit(Entry):
     """Degrees of freedom of the adjustment."""
     held_out_rms: OptionalFloat = None
     """Root mean square prediction error of held-out readings, divided by the larger of the declared and the estimated
-    noise. The readings of each of five folds of pointings are predicted by a search and an adjustment without the fold.
-    """
+    noise. The readings of each of five folds of pointings are predicted by a diagnosis and an adjustment without the
+    fold."""
 
 
 class MisfitBeforeAfter(Entry):

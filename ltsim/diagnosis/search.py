@@ -51,26 +51,26 @@ from ltsim.physics.laws.sizes import displayed_sizes
 
 MAX_COEFFICIENTS_OF_SIMPLE_EFFECT = 10
 """Number of coefficients above which an effect may imitate several effects. If the selected model has such an effect, a
-second search starts from the most probable hypothesis with fewer coefficients. A curve in one covariate has this number
-of coefficients: a slope and `N_CURVE_MODES` eigenfunctions."""
+second search for effects starts from the most probable hypothesis with fewer coefficients. A curve in one covariate has
+this number of coefficients: a slope and `N_CURVE_MODES` eigenfunctions."""
 N_EXACTLY_EVALUATED_IN_LARGE_NETWORK = 3
-"""Number of catalogue effects, and of empirical laws, that a step evaluates exactly in a large network."""
+"""Number of catalogue effects, and of laws (functions of covariates), evaluated exactly per step in a large network."""
 MAX_RANKED_LAWS = 400
-"""Largest number of empirical laws in a ranking of hypotheses."""
+"""Largest number of empirical laws (errors as functions of covariates) in a ranking of hypotheses."""
 MIN_INTEGRATED_TO_REFIT_SIGMA_RATIO = 1.15
 """Ratio of the posterior sigma of a parameter, integrated over shape parameters, to the sigma of the refit (Laplace's
 approximation). Above this ratio the integrated posterior is reported."""
 
 
 class ScreeningResult(NamedTuple):
-    """Result of the screening of all hypotheses given the effects of a model."""
+    """Approximate log evidence of all hypotheses given the effects of a model (result of a screening)."""
 
     effect_log_evidence: Floats
-    """Log evidence (h,) of each of h variants of catalogue effects, without prior."""
+    """Log evidence (h,) of each of h variants (places, shape parameters) of catalogue effects, without prior."""
     family_log_evidence: Floats
-    """Log evidence (families,) of each catalogue effect, averaged over its variants, with prior."""
+    """Log evidence (families,) of each catalogue effect, averaged over its places and shape parameters, with prior."""
     laws: list[ScreenedLaw]
-    """Empirical laws with the largest evidence at each place (stations, targets or instruments)."""
+    """Laws (functions of covariates) with the largest evidence at each place (stations, targets or instruments)."""
     test_statistic: float
     """Test statistic of the global test: log of the summed evidence of all hypotheses."""
     null_test_statistics: Floats
@@ -78,7 +78,7 @@ class ScreeningResult(NamedTuple):
 
 
 class Searcher:
-    """Search for catalogue effects and empirical laws in the residual space of one adjustment."""
+    """Search for catalogue effects, and for errors that are functions of covariates, after one adjustment."""
 
     def __init__(
         self,
@@ -89,7 +89,7 @@ class Searcher:
         catalogue_designs: CatalogueDesigns | None = None,
         tests_ordinary_constants: bool = True,
     ) -> None:
-        """Search whose p-value follows from `n_trials` simulated recordings.
+        """Search whose p-value is computed from `n_trials` recordings simulated with `seed`.
 
         `catalogue_designs` are the design matrices of another search on the same readings, which saves computing time.
         With `tests_ordinary_constants` the search also tests changes of the ordinary instrument constants.
@@ -122,14 +122,14 @@ class Searcher:
 
     @property
     def _n_exactly_evaluated(self) -> int:
-        """Number of catalogue effects, and of empirical laws, that a ranking evaluates without approximation."""
+        """Number of catalogue effects, and of laws (functions of covariates), evaluated without approximation."""
         return N_EXACTLY_EVALUATED_IN_LARGE_NETWORK if self.uses_fewer_evaluations else N_EXACTLY_EVALUATED_HYPOTHESES
 
     def without_rows(self, rows: Ints) -> Searcher:
-        """Search without f observation equations `rows` (f,), with as few evaluations as in large networks.
+        """Search without f observation equations `rows` (f,), with as few exact evaluations as in large networks.
 
         It is equivalent to a search that also estimates an error of each of these observations. The best laws of each
-        kind are not evaluated, to save time. The screening still uses the Gram matrices of all observations.
+        kind are not evaluated, to save time. Gram matrices of all observations are still used.
         """
         unit = np.zeros((self.residual_space.n_equations, len(rows)))
         unit[rows, np.arange(len(rows))] = 1.0
@@ -145,14 +145,14 @@ class Searcher:
         return reduced
 
     def ranking(self, conditioning_model: EffectModel) -> HypothesisRanking:
-        """Ranking of all hypotheses given a model: all are screened, the most probable are evaluated exactly."""
+        """Ranking of all hypotheses given a model; only the most probable are evaluated without approximation."""
         key = frozenset(h.effect_key for h in conditioning_model.hypotheses)
         if key not in self._rankings:
             self._rankings[key] = self._compute_ranking(conditioning_model)
         return self._rankings[key]
 
     def _screening(self, conditioning_model: EffectModel) -> ScreeningResult:
-        """Screening of all catalogue effects and empirical laws given the effects of a model."""
+        """Approximate log evidences of catalogue effects and laws (functions of covariates), given a model."""
         probe = (
             self.null_ensemble.with_model(conditioning_model.residual, conditioning_model.projected_basis)
             if conditioning_model.hypotheses
@@ -171,7 +171,7 @@ class Searcher:
         return ScreeningResult(values, families, laws, float(statistic), null)
 
     def _compute_ranking(self, conditioning_model: EffectModel) -> HypothesisRanking:
-        """Ranking of all hypotheses given a model, which `ranking` caches."""
+        """Ranking of all hypotheses given the effects of a model; `ranking` caches the result."""
         values, families, laws, _, _ = (
             self._screening(conditioning_model) if conditioning_model.hypotheses else self.empty_model_screening
         )
@@ -204,8 +204,8 @@ class Searcher:
     ) -> Hypothesis:
         """Most probable variant of a catalogue effect, with its log evidence averaged over all variants.
 
-        Variants differ in stations, targets and shape parameters. Unless `is_exact`, the results are those of the
-        screening: `effect_log_evidence` (h,) of all h variants, and `family_log_evidence` of this effect.
+        Variants differ in stations, targets and shape parameters. Unless `is_exact`, the results are approximate
+        values: `effect_log_evidence` (h,) of all h variants, and `family_log_evidence` of this effect.
         """
         designs = self.catalogue_designs
         indices = np.flatnonzero(designs.family_indices == family_index)
@@ -223,10 +223,10 @@ class Searcher:
         return best
 
     def _law_hypotheses(self, laws: Sequence[ScreenedLaw], conditioning_model: EffectModel) -> list[Hypothesis]:
-        """Hypotheses of screened empirical `laws`; those with the largest evidence are evaluated in all forms.
+        """Hypotheses of `laws`; those with the largest approximate evidence are evaluated with all functions.
 
-        In small networks the most probable law of each response and kind of regressor is evaluated in all forms too,
-        because the screening underestimates some kinds: a local search for a region can increase the evidence much.
+        In small networks the most probable law of each changed quantity and kind of function is evaluated in all forms
+        too, because a local search can increase the evidence of some kinds.
         """
         entries, evaluated = [], set[tuple[object, ...]]()
         kinds = set[tuple[str, str, bool]]()
@@ -278,7 +278,7 @@ class Searcher:
         return (*estimates, *region_centre_estimates(self.evidence_calculator, effect, reduced_model))
 
     def law_coefficients(self, law: EmpiricalLaw, reduced_model: EffectModel) -> tuple[Floats, Floats]:
-        """Posterior mean (k,) and covariance (k, k) of k coefficients of an empirical law, given `reduced_model`."""
+        """Posterior mean (k,) and covariance (k, k) of k coefficients of `law`, given effects of `reduced_model`."""
         gram, score = self.evidence_calculator.grams_and_scores([law], reduced_model)[0]
         return coefficient_posterior(gram, score, law.plausible_sizes)[:2]
 
@@ -294,7 +294,7 @@ class Searcher:
         return self.model_with(model.hypotheses[:effect_index] + model.hypotheses[effect_index + 1 :])
 
     def _projected_design(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
-        """Projected design matrix (m, k) of a hypothesis with k columns, and norms (k,) before the projection."""
+        """Design matrix (m, k) of a hypothesis, projected off the unknowns, and column norms (k,) before projection."""
         key = hypothesis.effect_key
         if key not in self._projected_designs:
             whole = self.evidence_calculator.whitened_design(hypothesis.effect)
@@ -326,10 +326,10 @@ class Searcher:
         return self._pruned_and_renamed_model(best_model)
 
     def model_by_forward_steps(self, rival_log_evidence: float) -> EffectModel:
-        """Model from forward steps alone, whose log evidence is a lower bound of the result of a complete search.
+        """Model from forward steps alone, whose log evidence is a lower bound of that of a search with backward steps.
 
-        The steps end when the log evidence exceeds `rival_log_evidence`, that of an alternative. They also end when it
-        could not exceed it even if all further effects gained as much evidence as the last effect.
+        The steps end when the log evidence exceeds `rival_log_evidence`, that of an alternative, or could not exceed it
+        even if all further effects gained as much evidence as the last effect.
         """
         return self._forward_selection(self.empty_model, requires_effect=True, rival_log_evidence=rival_log_evidence)
 

@@ -42,18 +42,19 @@ class SelectionState:
     seed: int
     """Seed of the random draws of simulated recordings."""
     false_alarm_rate: float | None
-    """False-alarm rate of the search; None for a search without p-value."""
+    """False-alarm rate of the search for effects; None for a search without p-value."""
     tests_ordinary_constants: bool
     """True if changes of the instrument constants of the ordinary calibration are also hypotheses."""
     effects_of_uncorrected_causes: tuple[CandidateEffect, ...]
-    """Catalogue effects among the simple causes of the network, from which a second search starts if the noise is
-    larger than declared."""
+    """Catalogue effects among the simple causes (such as outliers or moved targets) of the network, from which a second
+    search for effects starts if the noise is larger than declared."""
     reading_sigmas: Floats
-    """Standard deviations (n, 3) [m, rad, rad] of the readings of n pointings, with the selected noise hypotheses."""
+    """Standard deviations (n, 3) [m, rad, rad] of the readings of n pointings, with the selected noise hypotheses
+    (noise other than declared)."""
     residual_space: ResidualSpace
-    """Residual space of the adjustment with the present weights."""
+    """Whitened equations of the adjustment with the present weights, projected off its unknowns (residual space)."""
     selected_noise_hypotheses: tuple[NoiseHypothesis, ...] = ()
-    """Noise hypotheses that have been selected."""
+    """Noise hypotheses (noise other than declared) that have been selected."""
     earlier_catalogue_designs: CatalogueDesigns | None = None
     """Design matrices of the catalogue effects from the latest search in an earlier state; None before the first
     search."""
@@ -86,10 +87,10 @@ class SelectionState:
 
     @cached_property
     def searcher(self) -> Searcher:
-        """Search in the residual space of the present adjustment.
+        """Search for effects in the residuals of the present adjustment.
 
-        It uses the design matrices of an earlier search, with other weights, if the observation equations are the same.
-        Only the first search of a recording has a p-value.
+        The search uses the design matrices of an earlier search, with other weights, if the observation equations are
+        the same. Only the first search of a recording has a p-value.
         """
         earlier = self.earlier_catalogue_designs
         is_reusable = earlier is not None and earlier.n_equations == self.residual_space.n_equations
@@ -107,7 +108,10 @@ class SelectionState:
 
     @cached_property
     def noise_hypotheses(self) -> NoiseHypothesisSet:
-        """Noise hypotheses in the residual space of the present adjustment."""
+        """Noise hypotheses (noise other than declared) in the residual space of the present adjustment.
+
+        The residual space contains the whitened equations, projected off the unknowns.
+        """
         return self._noise_hypotheses(self.residual_space)
 
     @property
@@ -131,7 +135,7 @@ class SelectionState:
         Without effects and noise hypotheses it is the ordinary adjustment. Parameters have a prior standard deviation
         of `WIDE_PRIOR_SIGMA_FACTOR` times their plausible size, because the readings may not determine some
         combinations. Centring errors among `selected_noise_hypotheses` (by default those of the state) are in the
-        model.
+        model. A noise hypothesis says that the noise of some readings differs from the declared noise.
         """
         selected_noise_hypotheses = (
             self.selected_noise_hypotheses if selected_noise_hypotheses is None else selected_noise_hypotheses
@@ -152,14 +156,14 @@ class SelectionState:
         def with_causes(effects: Sequence[LinearEffect], start_state: NetworkState) -> Adjustment:
             """Adjustment with `effects` in addition to the simple causes of the ordinary adjustment.
 
-            It starts from the unknowns `start_state`.
+            It starts from the unknowns `start_state`. Simple causes are, for example, outliers and moved targets.
             """
             return adjusted(effects=(*effects, *old.effects), start_state=start_state)
 
         return refit_with_effects(with_causes if old.effects else adjusted, effects, start_state=old.state)
 
     def with_widened_priors(self, contradictions: Sequence[InstrumentConstantContradiction]) -> SelectionState:
-        """State of the selection after an adjustment without the prior of the contradicting instrument constants.
+        """State of the model selection after an adjustment without the prior of the contradicting instrument constants.
 
         `contradictions` are the instrument constants that contradict their reference.
         """
@@ -187,14 +191,15 @@ class SelectionState:
         return replace(self, earlier_catalogue_designs=designs, **attributes)  # type: ignore[arg-type]
 
     def _with_space_of_refit(self) -> SelectionState:
-        """State of the selection with the residual space of an adjustment without effects, with the present noise."""
+        """State of the model selection with the equations of an adjustment without effects, with the present noise."""
         adjustment = self.refit((), self.reading_sigmas).adjustment
         return self._with_attributes(residual_space=ResidualSpace.from_adjustment(adjustment))
 
     def ranked_noise_hypotheses(self, model: EffectModel) -> list[tuple[float, NoiseHypothesis]]:
         """Pairs of a log evidence and the most probable noise hypothesis of each kind, given the effects of a model.
 
-        They are sorted by decreasing evidence.
+        They are sorted by decreasing evidence. A noise hypothesis says that the noise of some readings differs from the
+        declared noise.
         """
         redundancy = self.residual_space.redundancy - np.sum(model.projected_basis**2, axis=1)
         ranked = self.noise_hypotheses.ranked_noise_hypotheses(model.residual, redundancy, model.projected_basis)
@@ -203,10 +208,10 @@ class SelectionState:
         return sorted(ranked, key=lambda entry: -entry[0])
 
     def with_noise_hypothesis(self, hypothesis: NoiseHypothesis, effects: Sequence[CandidateEffect]) -> SelectionState:
-        """State of the selection after the addition of a noise hypothesis, estimated with `effects` in the model.
+        """State of the model selection after the addition of a noise hypothesis, estimated with `effects` in the model.
 
         If a hypothesis with the same effect was selected before, the sizes are added. All noise hypotheses are then
-        estimated together.
+        estimated together. A noise hypothesis says that the noise of some readings differs from the declared noise.
         """
         new_change = with_estimated_sizes(
             self.residual_space.with_effects(effects), self.residual_space.reading_sigmas, hypothesis
@@ -222,7 +227,10 @@ class SelectionState:
         return self._with_selected_noise_hypotheses(selected_noise_hypotheses).with_estimated_noise(effects)
 
     def _with_selected_noise_hypotheses(self, selected_noise_hypotheses: Sequence[NoiseHypothesis]) -> SelectionState:
-        """State of the selection with other noise hypotheses, and the standard deviations that follow from them."""
+        """State of the model selection with other noise hypotheses, and the standard deviations that follow from them.
+
+        A noise hypothesis says that the noise of some readings differs from the declared noise.
+        """
         changed = self._with_attributes(selected_noise_hypotheses=tuple(selected_noise_hypotheses))
         return changed._with_attributes(reading_sigmas=changed._sigmas_with_noise_hypotheses(selected_noise_hypotheses))
 
@@ -231,14 +239,15 @@ class SelectionState:
         """Log evidence of the selected noise hypotheses without effects, up to a constant of the recording.
 
         It is the restricted log likelihood of the present adjustment, plus a term for each hypothesis. The term is its
-        log evidence minus its log likelihood ratio at the time of its selection.
+        log evidence minus its log likelihood ratio at the time of its selection. A noise hypothesis says that the noise
+        of some readings differs from the declared noise.
         """
         return log_restricted_likelihood(self.residual_space.adjustment) + sum(
             n.log_prior_times_occam_factor for n in self.selected_noise_hypotheses
         )
 
     def log_evidence_with_effects(self, hypotheses: Sequence[Hypothesis]) -> float:
-        """Log evidence of effects together with the selected noise hypotheses.
+        """Log evidence of effects together with the selected noise hypotheses (noise other than declared).
 
         The noise is estimated with the effects of `hypotheses` in the model. The result is comparable with
         `log_evidence_of_noise`, the log evidence without these effects.
@@ -250,16 +259,18 @@ class SelectionState:
         )
 
     def with_estimated_noise(self, effects: Sequence[CandidateEffect]) -> SelectionState:
-        """State of the selection with variance components estimated by REML (Foerstner 1979).
+        """State of the model selection with variance components estimated by REML (Foerstner 1979).
 
-        `effects` are in the model. The residual space is that of an adjustment with the estimated noise.
+        `effects` are in the model. The residual space is that of an adjustment with the estimated noise. The residual
+        space contains the whitened equations, projected off the unknowns.
         """
         return self._with_estimated_variances(effects)._with_space_of_refit()
 
     def _with_estimated_variances(self, effects: Sequence[CandidateEffect]) -> SelectionState:
-        """State of the selection with estimated variance components, but with the present residual space.
+        """State of the model selection with estimated variance components, but with the present residual space.
 
-        They are estimated as in `with_estimated_noise`, with `effects` in the model.
+        The components are estimated by REML, with `effects` in the model. The residual space contains the whitened
+        equations, projected off the unknowns.
         """
         state = self
         for _ in range(N_VARIANCE_ITERATIONS):
@@ -296,7 +307,8 @@ class SelectionState:
     def expected_variance_factors(self, effects: Sequence[CandidateEffect]) -> Floats:
         """Posterior mean (n, 3) of factors on the declared variances of n pointings, with `effects` in the model.
 
-        Each selected noise hypothesis is averaged over its alternatives, given the others.
+        Each selected noise hypothesis is averaged over its alternatives, given the others. A noise hypothesis says that
+        the noise of some readings differs from the declared noise.
         """
         factors = np.ones(self.reading_sigmas.shape)
         for change in (n for n in self.selected_noise_hypotheses if not isinstance(n.effect, CentringVariance)):
@@ -306,7 +318,10 @@ class SelectionState:
         return factors
 
     def _noise_hypotheses(self, space: ResidualSpace) -> NoiseHypothesisSet:
-        """Noise hypotheses in the residual space `space`."""
+        """Noise hypotheses (noise other than declared) in the residual space `space`.
+
+        The residual space contains the whitened equations, projected off the unknowns.
+        """
         quieter = not any(
             getattr(change.effect, "shared_error_repetition", "") for change in self.selected_noise_hypotheses
         )
@@ -315,9 +330,10 @@ class SelectionState:
         )
 
     def with_pruned_noise(self, effects: Sequence[CandidateEffect]) -> SelectionState:
-        """State of the selection with new estimates of the noise, with `effects` in the model.
+        """State of the model selection with new estimates of the noise, with `effects` in the model.
 
-        Noise hypotheses without a positive log evidence are removed.
+        Noise hypotheses without a positive log evidence are removed. A noise hypothesis says that the noise of some
+        readings differs from the declared noise.
         """
         state = self._with_estimated_variances(effects)
         supported = [
@@ -328,7 +344,10 @@ class SelectionState:
         return state._with_selected_noise_hypotheses(supported).with_estimated_noise(effects)
 
     def _sigmas_with_noise_hypotheses(self, selected_noise_hypotheses: Sequence[NoiseHypothesis]) -> Floats:
-        """Standard deviations (n, 3) [m, rad, rad] of the readings of n pointings with the given noise hypotheses."""
+        """Standard deviations (n, 3) [m, rad, rad] of the readings of n pointings with the given noise hypotheses.
+
+        A noise hypothesis says that the noise of some readings differs from the declared noise.
+        """
         sigma, sightings = self.recording.reading_sigmas(), self.baseline_adjustment.sightings
         for change in selected_noise_hypotheses:
             sigma = np.sqrt(change.effect.variance(sightings, sigma, np.array(change.sizes)))

@@ -27,7 +27,7 @@ COVARIATE_TEXTS = {
     "place": "the position in the hall",
     "incidence": "the direction from which the reflector is seen",
 }
-"""Phrases for users in place of the names of covariates that need an explanation."""
+"""Phrases, shown to users, in place of the names of covariates that need an explanation."""
 
 
 def estimates_phrase(parameters: Sequence[ParameterEstimate]) -> str:
@@ -111,10 +111,10 @@ def catalogue_effect_sentence(
 def law_sentence(
     scope: FindingScope, parameters: Sequence[ParameterEstimate], p_same_scope: float, law_text: str
 ) -> str:
-    """Sentences on an empirical law outside the catalogue: changed quantity, regressor, place, size, probability.
+    """Sentences on an empirical law outside the catalogue: changed quantity, function, place, size, probability.
 
     `law_text` is the description of the law, and `p_same_scope` the probability of any effect with the same scope
-    (observables, place, covariates).
+    (observables, place, covariates). An empirical law describes an error as a function of covariates such as time.
     """
     sizes_text = estimates_phrase(parameters)
     size_phrase = f" ({sizes_text})" if sizes_text else ""
@@ -154,8 +154,8 @@ def _place_suffix(scope: FindingScope) -> str:
 def significant_instrument_constant_texts(instruments: Sequence[InstrumentEntry]) -> list[str]:
     """Texts of the significant instrument constants of all instruments, the most significant first.
 
-    If only a combination of constants is determined, it has the name of its first constant. The value is then an
-    effective value over the angles of the recording.
+    If only a combination of constants is determined, it has the name of its first constant. The value then includes the
+    other constants, which the readings do not separate from the first.
     """
     ranked: list[tuple[float, str]] = []
     for entry in instruments:
@@ -164,7 +164,7 @@ def significant_instrument_constant_texts(instruments: Sequence[InstrumentEntry]
         for combination in entry.determined:
             name, weight = next(iter(combination.combination.items()))
             sigma = (combination.sigma or 0.0) / abs(weight)
-            used = ", effective over the angles used,"
+            used = ", with the constants that the readings do not separate from it,"
             entries.append((name, used, combination.value / weight, sigma, combination.unit))
         of = entry.name or "the instrument"
         for name, used, value, sigma, unit in entries:

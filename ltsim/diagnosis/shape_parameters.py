@@ -25,11 +25,11 @@ MAX_CENTRE_SIGMA_IN_STEPS = 20.0
 """Largest standard deviation of a coordinate of a region's centre, divided by `REGION_CENTRE_DIFFERENCE_STEP`. A
 coordinate that the readings do not determine gets this standard deviation."""
 N_SHAPE_GRID_POINTS = 11
-"""Number of grid points over which a shape parameter is integrated, from one coarse step below its optimum to one
-coarse step above."""
+"""Number of grid points over which a shape parameter is integrated, from one step below its optimum to one step above
+(steps of the grid on which a diagnosis tries the parameter)."""
 N_REFINEMENT_GRID_POINTS = 9
-"""Number of points of each refinement of the grid of a shape parameter around its optimum, whose peak may be much
-narrower than a step."""
+"""Number of points of each refinement of the grid of a shape parameter around its optimum. The peak of the evidence may
+be much narrower than a step."""
 N_GRID_REFINEMENTS = 2
 """Number of refinements of the grid of a shape parameter around its optimum."""
 
@@ -74,7 +74,7 @@ def shape_parameter_at_position(shape: ShapeParameter, lower: float, upper: floa
 def integrate_over_shapes(
     calculator: EvidenceCalculator, effect: CandidateEffect, conditioning_model: EffectModel
 ) -> tuple[CandidateEffect, float]:
-    """Effect with the most probable shape parameters, and log evidence averaged over a cell of the coarse grid.
+    """Effect with the most probable shape parameters, and log evidence averaged over one step of the search grid.
 
     Shape parameters enter nonlinearly (period, time constant, onset time). The effects of `conditioning_model` are
     estimated in addition.
@@ -94,9 +94,9 @@ def _integrate_over_shape(
     conditioning_model: EffectModel,
     log_evidence: float,
 ) -> tuple[CandidateEffect, float]:
-    """Effect with the most probable value of one shape parameter, and log evidence averaged over a coarse grid cell.
+    """Effect with the most probable value of one shape parameter, and log evidence averaged over a grid cell.
 
-    The cell extends over one step of the coarse grid on both sides. `shape` defines the shape parameter, and
+    The cell extends over one step of the grid of the search on both sides. `shape` defines the shape parameter, and
     `log_evidence` is the log evidence of `effect`. The effects of `conditioning_model` are estimated in addition.
     """
     now = float(getattr(effect, shape.name))
@@ -106,7 +106,7 @@ def _integrate_over_shape(
     u = np.linspace(-1.0, 1.0, N_SHAPE_GRID_POINTS)
 
     def log_evidence_at(positions: Floats) -> Floats:
-        """Log evidence at positions from -1 to 1: one coarse step below and above the value of the effect."""
+        """Log evidence at positions from -1 to 1: one step of the search grid below and above the effect's value."""
         values = (shape_parameter_at_position(shape, low, high, x) for x in positions.tolist())
         return calculator.log_evidence(
             [effect.with_shape_parameters(**{shape.name: value}) for value in values], conditioning_model
@@ -127,7 +127,7 @@ def _integrate_over_shape(
 
 
 def are_distinct(effect: CandidateEffect, other_effect: CandidateEffect) -> bool:
-    """True if two effects differ in stations or targets, or in a shape parameter by more than its integration interval.
+    """True if two effects differ in stations or targets, or in a shape parameter by more than a step of its grid.
 
     Shape parameters enter nonlinearly (period, time constant, onset time).
     """
@@ -146,7 +146,7 @@ class ShapeParameterNode(NamedTuple):
     effect: CandidateEffect
     """Effect with the shape parameters of the node."""
     log_weight: float
-    """Log of the evidence at the node times the volume of its cell of the grid."""
+    """Log of the evidence at the node times the volume of the grid cell around the node."""
     shape_parameters: dict[str, float]
     """Values [SI] of the shape parameters by name, including the time of a change."""
     parameter_means: Floats

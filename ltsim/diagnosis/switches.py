@@ -24,39 +24,47 @@ from ltsim.physics.laws.regressors import Regressor, scalar_regressor
 from ltsim.scene.sightings import Sightings
 
 MIN_SWITCH_EDGES_BY_REGION_DEPENDENCE = {True: 1, False: 2}
-"""Smallest number of times within set-ups at which a switched empirical law turns on or off: for a law with a region of
-the hall (True), and for other laws (False). A single step without a region is an effect of the catalogue, or a form
-with steps."""
+"""Smallest number of times within set-ups at which a switched empirical law (error as a function of covariates) turns
+on or off: for a law with a region of the hall (True), and for other laws (False). A single step without a region is an
+effect of the catalogue, or a sum of steps."""
 MIN_TARGET_SWITCH_EDGES = 3
-"""Smallest number of times at which a switched empirical law that acts on one target turns on or off. With one or two
-such times the law equals a catalogue effect, such as a target that moved."""
+"""Smallest number of times at which a switched empirical law (error as a function of covariates) that acts on one
+target turns on or off. With one or two such times the law equals a catalogue effect, such as a target that moved."""
 MAX_PIECES_OF_LAW = 10
-"""Largest number of steps and ramps of an empirical law, and of intervals of the covariate whose state is toggled."""
+"""Largest number of steps and ramps of an empirical law (error as a function of covariates), and of intervals of the
+covariate in which a law is switched on or off."""
 N_TOGGLED_INTERVALS_AFTER_MAXIMUM = 3
-"""Number of intervals of the covariate that a search toggles after the last increase of the evidence, before it
-stops."""
+"""Number of intervals of the covariate in which a stepwise search switches an error on or off after the last increase
+of the evidence, before the search stops."""
 
 MIN_SWITCHED_MEAN_SQUARE_RATIO = 1e-3
-"""Smallest mean square of a switched regressor (function of a covariate), divided by its mean square without the
-switch. At this limit an empirical law acts on about one pointing in a thousand."""
+"""Smallest mean square of a function of a covariate that is switched on and off, divided by its mean square if it is
+always on. At this limit an empirical law acts on about one pointing in a thousand."""
 
 
 class SpanGramAndScore(NamedTuple):
-    """Gram matrix and score of an empirical law with separate coefficients in each of S spans of its covariate."""
+    """Gram matrix and score of an empirical law with separate coefficients in each of S spans of its covariate.
+
+    An empirical law describes an error as a function of covariates such as time.
+    """
 
     gram: Floats
-    """Gram matrix (S, w, S, w) of the projected design columns for w coefficients in each of S spans."""
+    """Gram matrix (S, w, S, w) of the projected design columns for w coefficients in each of S spans (intervals) of a
+    covariate. Projected means: without the part that the unknowns of the adjustment absorb."""
     score: Floats
-    """Products (S, w) of the projected design columns with the residuals, for w coefficients in each of S spans."""
+    """Products (S, w) of the projected design columns with the residuals, for w coefficients in each of S spans
+    (intervals) of a covariate. Projected means: without the part that the unknowns of the adjustment absorb."""
     mean_square_contributions: Floats
-    """Contribution (S,) of each of S spans to the mean square of the regressor (function of the covariate)."""
+    """Contribution (S,) of each of S spans (intervals of a covariate) to the mean square of the regressor (function of
+    the covariate)."""
 
 
 def n_tried_waves_of_same_covariate(law: EmpiricalLaw, sightings: Sightings) -> int:
-    """Number of waves of the same covariate that the search tried, if an empirical law has a wave; otherwise 1.
+    """Number of waves of the same covariate that a diagnosis tried, if an empirical law has a wave; otherwise 1.
 
     The law with the most probable of these waves represents any switch. The prior of the switch is therefore the prior
-    of the law multiplied by the number of waves.
+    of the law multiplied by the number of waves. An empirical law describes an error as a function of covariates such
+    as time. A switch is on in some intervals of a covariate, and off in the others.
     """
     swing = law.switchable_factor
     if swing is None or swing.kind != "wave":
@@ -72,11 +80,11 @@ def switched_forms(
     *,
     refines_region: bool = True,
 ) -> list[Hypothesis]:
-    """Forms of an empirical law that act only in some spans of its covariate; empty if the law has no such forms.
+    """Copies of an empirical law that act only in some spans of its covariate; empty if the law cannot be switched.
 
-    `log_prior` is the log prior probability of a form. The effects of `conditioning_model` are estimated in addition.
+    `log_prior` is the log prior probability of a copy. The effects of `conditioning_model` are estimated in addition.
     If the law has a region of the hall, a local search fits the region before the times, unless `refines_region` is
-    false.
+    false. An empirical law describes an error as a function of covariates such as time.
     """
     sightings = calculator.residual_space.sightings
     edges = law.candidate_switch_steps(sightings)
@@ -103,9 +111,11 @@ def switched_forms(
 def _forms_with_formula_as_second_factor(
     calculator: EvidenceCalculator, form: Hypothesis, conditioning_model: EffectModel
 ) -> list[Hypothesis]:
-    """List of an empirical law with a switch in which a formula replaces the curve in the second factor.
+    """List of an empirical law with a switch in which a formula replaces the curve in the other factor of the law.
 
     The list is empty if `form`, the law, has no curve. The effects of `conditioning_model` are estimated in addition.
+    An empirical law describes an error as a function of covariates such as time. A switch is on in some intervals of a
+    covariate, and off in the others.
     """
     law = form.effect
     assert isinstance(law, EmpiricalLaw)
@@ -128,10 +138,10 @@ def _span_gram_and_score(
     step_regressors: Sequence[Regressor],
     conditioning_model: EffectModel,
 ) -> SpanGramAndScore:
-    """Gram matrix and score of an empirical law with separate coefficients in each span from a step to the next.
+    """Gram matrix and score of an empirical law with separate coefficients in each interval of its covariate.
 
-    `step_regressors` are the steps at the edges of the spans. The effects of `conditioning_model` are estimated in
-    addition.
+    The intervals extend from each of the steps `step_regressors` to the next. The effects of `conditioning_model` are
+    estimated in addition. An empirical law describes an error as a function of covariates such as time.
     """
     sightings, count = calculator.residual_space.sightings, len(step_regressors)
     x = sightings.covariate_values[step_regressors[0].covariates[0]]
@@ -158,8 +168,8 @@ def _span_differences(step_values: Floats) -> Floats:
 def _best_span_states(spans: SpanGramAndScore, plausible_sizes: Floats) -> tuple[Bools, float, int]:
     """States (S,) of S spans of a covariate, on or off, with the largest evidence, and two numbers.
 
-    The numbers are the log evidence and the number of toggled intervals. Each toggled interval reduces the log evidence
-    by the log of the number of all intervals.
+    The numbers are the log evidence and the number of intervals that were switched on or off one after another. Each of
+    these intervals reduces the log evidence by the log of the number of all intervals.
     """
     count, n_components = spans.score.shape
     first, last = np.triu_indices(count + 1, 1)
@@ -203,7 +213,8 @@ def _cumulative_sums(step_values: Floats) -> Floats:
 def _is_identifiable_switch(law: EmpiricalLaw, edge_regressors: Sequence[Regressor], sightings: Sightings) -> bool:
     """True if a switch has enough edges, at which it turns on or off, that the poses of set-ups do not absorb.
 
-    `edge_regressors` are the steps at the edges.
+    `edge_regressors` are the steps at the edges, and `law` is the law (error as a function of covariates) with the
+    switch.
     """
     least = (
         MIN_TARGET_SWITCH_EDGES
@@ -220,7 +231,8 @@ def _is_identifiable_switch(law: EmpiricalLaw, edge_regressors: Sequence[Regress
 def _switches_targets(law: EmpiricalLaw, edge_regressors: Sequence[Regressor], sightings: Sightings) -> bool:
     """True if a switched empirical law is on for several targets and off for several targets.
 
-    Otherwise the cause is an error of a single target. `edge_regressors` are the steps at the edges of the switch.
+    Otherwise the cause is an error of a single target. `edge_regressors` are the steps at the edges of the switch. An
+    empirical law describes an error as a function of covariates such as time.
     """
     on = law.with_switch(edge_regressors).columns(sightings)[:, 0] != 0.0
     counts = [len(np.unique(sightings.target[acts])) for acts in (on, ~on)]

@@ -25,9 +25,9 @@ def diagnose(
     ----------
     recording : Recording, str or Path
     level : float
-        False-alarm rate of the whole search on a recording without effects, at least 0.001.
+        False-alarm rate: probability that a recording without unmodelled effects is reported, at least 0.001.
     seed : int
-        Seed of the random draws of simulated recordings, from which the p-value of the search follows.
+        Seed of the random draws of simulated recordings, from which the p-value of the recording is computed.
     history : Calibration, History, str or Path, optional
         Earlier calibration of the instruments, or the calibration history of an instrument, or the file of either. An
         instrument constant that differs from its earlier values by more than their scatter and uncertainties explain is

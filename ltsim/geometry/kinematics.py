@@ -7,7 +7,7 @@ the nominal length or angle of a motion. The motion's `error_key` is the key of 
 Derivatives of the measured point are exact too. With respect to the error of a translation, the derivative is the unit
 vector of the axis in the base frame. With respect to the error of a rotation, it is the cross product of the axis and
 the vector from the axis to the target. There are three designs of a tracker: `MISALIGNMENT_CHAIN`,
-`STEERING_MIRROR_CHAIN` and the paper's `DH_CHAIN`.
+`STEERING_MIRROR_CHAIN` and `DH_CHAIN` (Sensors 2021, 21, 7479).
 """
 
 import math
@@ -197,7 +197,7 @@ kappa the transit tilt, b_y and b_z are the lateral and vertical beam offsets, a
 bearing of the standing axis (keys `standing-...`) come before these terms and are omitted in the formula.
 
 Signs: every error is a correction (true value minus reading), added to the raw reading or to the nominal zero. Raw
-face-2 readings are used unchanged; the signs of the two faces follow from the geometry.
+face-2 readings are used unchanged; the signs of the two faces result from the geometry.
 """
 
 ELEVATION_TO_ZENITH_OFFSET = -0.5 * math.pi
@@ -290,10 +290,10 @@ DH_CHAIN: KinematicChain = (
 
 0T3 is the transformation from the frame of the beam to the base. A_i is the transformation of kinematic joint i with
 the Denavit-Hartenberg parameters d, theta, a and alpha. T are translations along and R rotations about the axes, [e]_x
-is the cross-product matrix of (eX, eY, eZ). In the paper E follows A: frame 1 has y along the standing axis and z along
-the transit axis, so the azimuth encoder's error is J1.eY and the elevation encoder's J2.eY; the paper's words "axial"
-and "radial" do not fit these frames. E_Trans is last and acts on a point, so that its rotation has no effect; it is
-included so that the 78 coefficients of the paper are complete.
+is the cross-product matrix of (eX, eY, eZ). In the paper E comes after A: frame 1 has y along the standing axis and z
+along the transit axis, so the azimuth encoder's error is J1.eY and the elevation encoder's J2.eY; the paper's words
+"axial" and "radial" do not fit these frames. E_Trans is last and acts on a point, so that its rotation has no effect;
+it is included so that the 78 coefficients of the paper are complete.
 
 A coefficient is named by the kinematic joint (J1 azimuth, J2 elevation, T range), the error motion (translation d along
 or rotation e about an axis of the frame after the joint) and the term of its error function: c, sin, cos, sin2 and cos2

@@ -213,9 +213,10 @@ def align_with_scale(
 def _weighted_alignment(
     points: Floats, goal_points: Floats, weight: Floats, *, estimates_scale: bool = False
 ) -> tuple[Floats, Floats, Floats, Bools]:
-    """Rotation (..., 3, 3), shift (..., 3), scale (...), and flags (...), True if a point set determines the rotation.
+    """Rotation (..., 3, 3), shift (..., 3) [m], scale (...) of an alignment, and True (...) if the points determine it.
 
-    The arguments and the first three results are those of `align_with_scale`.
+    `points` (..., n, 3) [m] are aligned with `goal_points` (..., n, 3) [m] by least squares with the weights `weight`
+    (n,). Points on one line do not determine the rotation.
     """
     weight = weight / weight.sum()
     centre, goal_centre = weight @ points, weight @ goal_points

@@ -69,8 +69,8 @@ class Displacement(Entry):
     semi_axes_um: Vector
     """Semi-axes of the 95 % error ellipsoid of the displacement [um], the largest first."""
     p_value: Finite
-    """p-value of the hypothesis that the point did not move, corrected for the number of tested points. The
-    displacements of all other moved points are estimated at the same time."""
+    """p-value of the hypothesis that the point did not move, corrected for the number of tested points. In the test,
+    the displacements of all other moved points are estimated too."""
     detectable_um: tuple[Finite, Finite]
     """Smallest displacements [um] that are detected with a probability of 80 %: in the most favourable direction, and
     in the least favourable direction."""
@@ -104,7 +104,7 @@ class Comparison(ResultFile):
     p_value: Finite
     """p-value of the congruence test with all points."""
     p_value_without_moved_points: Finite
-    """p-value of the congruence test with only the points that did not move."""
+    """p-value of the congruence test with only the points that did not move significantly."""
     scale_ppm: OptionalFloat = None
     """Scale of the second epoch relative to the first [ppm]; null if it was not estimated."""
     notes: tuple[str, ...] = ()
@@ -115,8 +115,8 @@ class Comparison(ResultFile):
     second_tests: tuple[CauseTest, ...] = ()
     """Tests of the possible causes of a misfit of the second recording, and of its outliers."""
     has_common_rigid_motion: bool = False
-    """True if one rigid motion of all points explains most displacements, so that the lists may have different frames.
-    """
+    """True if one rigid motion of all points explains most displacements, so that the two lists of coordinates may have
+    different frames."""
     displacements: tuple[Displacement, ...] = Field(min_length=1)
     """Displacement and test of each point that both epochs contain, in the order of the first recording."""
 
@@ -164,7 +164,7 @@ class EpochDifference:
     first_epoch_points: Floats
     """Coordinates of the points in the first epoch, shape (points, 3) [m]."""
     estimates_scale: bool = False
-    """True if the last column of `displacements_per_free_motion` is the scale of the second epoch."""
+    """True if the last column of `displacements_per_free_motion` is not a motion but the scale of the second epoch."""
 
     @property
     def n_points(self) -> int:
@@ -179,7 +179,7 @@ class EpochDifference:
     def chi2_of_single_point(self, point: int) -> float | None:
         """Chi-square of the coordinate difference of the point with index `point`, from this point alone.
 
-        None if the epochs have separate frames, because a single point then determines no difference.
+        The result is None if the epochs have separate frames, because a single point then determines no difference.
         """
         if self.displacements_per_free_motion.shape[1]:
             return None
@@ -191,7 +191,7 @@ class EpochDifference:
 
     @cached_property
     def _whitening_root(self) -> Floats:
-        """Matrix (rows, coordinates) that whitens coordinate differences, without directions that no epoch measured."""
+        """Matrix (rows, coordinates) that whitens coordinate differences, without unmeasured directions."""
         scale = np.sqrt(np.diag(self.covariance))
         values, vectors = np.linalg.eigh(self.covariance / np.outer(scale, scale))
         # Directions that no epoch measured contain no information.
@@ -200,7 +200,7 @@ class EpochDifference:
 
     @cached_property
     def whitened_differences(self) -> WhitenedDifferences:
-        """Differences, whitened by the root of their inverse covariance."""
+        """Coordinate differences between the epochs, whitened by a root of their inverse covariance matrix."""
         return WhitenedDifferences(
             self._whitening_root,
             self.coordinate_differences,
@@ -255,8 +255,8 @@ def congruence_test(
 def _find_moved_points(difference: EpochDifference, tested_indices: Ints, alpha: float) -> list[int]:
     """Indices of the points that moved, at the significance level `alpha` for all tests of `tested_indices` together.
 
-    Points with a significant displacement are added one by one. At the end each of them is tested again, with the
-    displacements of the other moved points in the model.
+    Points with a significant displacement are added one by one. At the end each of these points is tested again, with
+    the displacements of the other moved points in the model.
     """
     limit = float(special.chdtri(len(difference.axis_indices), alpha / max(len(tested_indices), 1)))
     n_fixed = len(difference.axis_indices) if difference.displacements_per_free_motion.shape[1] else 0

@@ -1,10 +1,11 @@
 """Least-squares fits of displacements of points between two epochs, and the search for the points that moved.
 
-All quantities are whitened: with the differences d of N points in a axes, their covariance C and a root R of its
-inverse (R C R^T = 1), the model is R d = R (F m + E s) + noise, where F m are free motions of all points and E s the
-displacements of the moved points. A point is added to the model by its residual design: its columns of R without their
-part in the space of the columns that the model already has. The cost of one addition is that of one product of R with a
-block of `a` columns, so that the cost of the search for any number of moved points is that of a decomposition of R.
+All quantities are whitened: with the differences d of N points in `a` axes, the covariance C of d and a root R of the
+inverse of C (R C R^T = 1), the model is R d = R (F m + E s) + noise, where F m are free motions of all points and E s
+the displacements of the moved points. A point is added to the model by its residual design: its columns of R without
+their part in the space of the columns that the model already has. The cost of one addition is that of one product of R
+with a block of `a` columns, so that the cost of the search for any number of moved points is that of a decomposition of
+R.
 """
 
 from collections.abc import Sequence
@@ -18,8 +19,9 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE, SQRT_MACHINE_EPSILON
 
 MIN_EIGENVALUE = float(np.square(NORMAL_EQUATIONS_TOLERANCE))
-"""Smallest eigenvalue of the normal equations of a point, relative to those of its columns, at which they determine a
-displacement in that direction: the square of the smallest fraction of the columns that remains."""
+"""Smallest eigenvalue of the scaled normal equations of a point at which its displacement is determined in the
+direction of the eigenvector. The normal equations are scaled by the norms of the point's columns before the elimination
+of other unknowns; the value is the square of the smallest fraction of a column that must remain."""
 
 
 @dataclass(frozen=True)
@@ -31,37 +33,39 @@ class WhitenedDifferences:
     differences: Floats
     """Coordinate differences, second minus first epoch, point by point, shape (N axes,) [m]."""
     free_motions: Floats
-    """Displacements of the points by a unit of each free motion, shape (N axes, free motions)."""
+    """Displacements of the points by a unit of each free motion (rigid motion of all points that an epoch does not
+    determine), shape (N axes, free motions)."""
     n_axes: int
     """Number of compared axes."""
 
     @cached_property
     def observations(self) -> Floats:
-        """Whitened differences R d, shape (m,)."""
+        """Whitened coordinate differences R d, shape (m,); m is the rank of their covariance."""
         return self.root @ self.differences
 
     @cached_property
     def motion_design(self) -> Floats:
-        """Whitened design of the free motions, shape (m, free motions)."""
+        """Whitened design of the free motions (rigid motions of all points), shape (m whitened rows, free motions)."""
         return self.root @ self.free_motions
 
     def rows(self, points: Sequence[int]) -> Ints:
-        """Indices of the coordinates of `points` (indices), point by point."""
+        """Indices, in the vector of all coordinates, of the coordinates of the points with the indices `points`."""
         return coordinate_indices(points, self.n_axes)
 
     def blocks(self, columns: Floats) -> Floats:
-        """Copy of the array (m, N axes) as one block for each point, shape (N, axes, m)."""
+        """Copy of the array `columns` (m, N axes) as one block for each of N points, shape (N, axes, m)."""
         return columns.T.reshape(-1, self.n_axes, len(columns))
 
     def fit(self, moved: Sequence[int]) -> "DisplacementFit":
-        """Least-squares fit of the free motions and of the displacements of the points `moved` (indices)."""
+        """Least-squares fit of free rigid motions of all points, and of displacements of `moved` (point indices)."""
         return DisplacementFit(self, tuple(moved))
 
     def find_moved_points(self, tested: Sequence[int], limit: float, max_moved: int) -> list[int]:
         """Indices of the points with a displacement, among at most `max_moved` of the `tested` ones.
 
-        The point that reduces the sum of squares most is added as long as it reduces it by `limit` or more. Afterwards
-        each added point is tested again, with the displacements of the other added points in the model.
+        The point whose displacement reduces the sum of squared residuals most is added, as long as the reduction is at
+        least `limit`. Afterwards each added point is tested again, with the displacements of the other added points in
+        the model.
         """
         start = self.fit(())
         tests, basis, moved = start.point_tests, start.basis, list[int]()
@@ -84,7 +88,7 @@ class WhitenedDifferences:
         return self._without_insignificant(moved, limit)
 
     def _residual_basis(self, basis: Floats, point: int, column_norms: Floats) -> Floats:
-        """Orthonormal basis (m, k) of the columns of a point without their part in the space of `basis` (m, q)."""
+        """Orthonormal basis (m, k) of the k columns of a point without their part in the space of `basis` (m, q)."""
         columns = self.root[:, self.rows([point])] / np.where(column_norms > 0, column_norms, np.inf)
         for _ in range(2):  # a second time for rounding errors of the first
             columns = columns - basis @ (basis.T @ columns)
@@ -92,7 +96,11 @@ class WhitenedDifferences:
         return np.asarray(vectors[:, sizes > NORMAL_EQUATIONS_TOLERANCE])
 
     def _without_insignificant(self, moved: list[int], limit: float) -> list[int]:
-        """Points of `moved` whose displacement reduces the sum of squares by `limit` or more, tested one by one."""
+        """Points of `moved` whose displacement reduces the sum of squared residuals by at least `limit`.
+
+        The points are tested one by one, with the displacements of the others in the model; the least significant
+        leaves first.
+        """
         values, covariance = self.fit(moved).displacements
         remaining_points = list(moved)
         for point in moved:
@@ -112,16 +120,18 @@ class PointTests:
     """Tests of a displacement of each of N points in addition to a fit."""
 
     normals: Floats
-    """Normal equations of the displacement of each point, after elimination of the fit, shape (N, axes, axes)."""
+    """Normal equations of the displacement of each point after elimination of the unknowns of the fit, shape (N, axes,
+    axes)."""
     gradients: Floats
-    """Products of the residual designs with the residuals, shape (N, axes)."""
+    """Right sides of the normal equations of the points, shape (N, axes): products of the residuals of the fit with the
+    design columns of each point, without the part of these columns that the fit contains."""
     column_norms: Floats
-    """Norms of the residual design of each coordinate at the beginning of a search; 0 if it is undetermined, (N, axes).
-    """
+    """Norm of the design column of each coordinate after elimination of the free motions, shape (N, axes); 0 for an
+    undetermined coordinate."""
 
     @cached_property
     def _eigensystem(self) -> tuple[Floats, Floats, Floats]:
-        """Eigenvalues (N, axes) and eigenvectors (N, axes, axes) of the scaled normal equations; scales (N, axes)."""
+        """Eigenvalues (N, axes), eigenvectors (N, axes, axes) and scales (N, axes) of the scaled normal equations."""
         scale = np.divide(1.0, self.column_norms, out=np.zeros_like(self.column_norms), where=self.column_norms > 0)
         return (*np.linalg.eigh(self.normals * scale[:, :, None] * scale[:, None, :]), scale)
 
@@ -139,7 +149,7 @@ class PointTests:
 
     @cached_property
     def chi2_drops(self) -> Floats:
-        """Reductions of the sum of squares by a displacement of each point, shape (N,)."""
+        """Reductions of the sum of squared residuals by an additional displacement of each point, shape (N,)."""
         return np.square(np.einsum("nab,na->nb", self._root, self.gradients)).sum(axis=1)
 
     @cached_property
@@ -149,13 +159,13 @@ class PointTests:
 
     @cached_property
     def values(self) -> Floats:
-        """Displacement of each point, shape (N, axes)."""
+        """Estimated displacement [m] of each point, shape (N, axes)."""
         return np.einsum("nab,nb->na", self.covariances, self.gradients)
 
 
 @dataclass(frozen=True)
 class DisplacementFit:
-    """Least-squares fit of free motions and of the displacements of the points `moved`."""
+    """Least-squares fit of free rigid motions of all points, and of the displacements of the points `moved`."""
 
     data: WhitenedDifferences
     moved: tuple[int, ...]
@@ -178,7 +188,7 @@ class DisplacementFit:
 
     @cached_property
     def basis(self) -> Floats:
-        """Orthonormal basis of the space of the design, shape (m, rank)."""
+        """Orthonormal basis of the column space of the whitened design, shape (m, rank)."""
         if self._triangle is not None:
             return self._triangle[0]
         return np.asarray(scipy.linalg.orth(self._scaled_design[0]))
@@ -209,7 +219,7 @@ class DisplacementFit:
 
     @cached_property
     def point_tests(self) -> PointTests:
-        """Tests of a displacement of each point in addition to the fit; those of moved points are not defined."""
+        """Tests of a displacement of each point in addition to the fit; undefined for the points `moved`."""
         root, axes = self.data.root, self.data.n_axes
         residual_design = root - self.basis @ (self.basis.T @ root)
         blocks = self.data.blocks(residual_design)
@@ -219,9 +229,9 @@ class DisplacementFit:
         return PointTests(blocks @ blocks.transpose(0, 2, 1), blocks @ residuals, norms.reshape(-1, axes))
 
     def displacement(self, point: int) -> tuple[Floats, Floats, float]:
-        """Displacement of a point (axes,), its covariance, and the reduction of the sum of squares by it.
+        """Displacement (axes,) [m] of a point, its covariance, and the reduction of the sum of squared residuals by it.
 
-        A point that is not among the moved ones is added to them. If a direction is undetermined, the estimates of all
+        A point that is not in the fit is added to it. If a direction is undetermined, the estimates of all
         points and motions together are those of smallest norm, in units of their standard deviations.
         """
         if point not in self.moved:

@@ -2,7 +2,8 @@
 
 The second epoch is aligned to the first by the rigid motions that are free in one of the epochs, and by a scale if
 requested. The coordinate differences are tested with their full covariance. Moved points are added one by one, each
-time the point that explains most of the differences. Each is finally tested with the other moved points in the model.
+time the point that explains most of the differences. Each moved point is finally tested with the other moved points in
+the model.
 """
 
 from __future__ import annotations
@@ -43,15 +44,15 @@ ALL_AXIS_INDICES = np.arange(3)
 
 
 def compare_adjustments(
-    first: Adjustment,
-    second: Adjustment,
-    *,
-    stable_names: Sequence[str] | None = None,
-    with_scale: bool = False,
-    same_instrument: bool = False,
-    alpha: float = 0.05,
-) -> Comparison:
-    """Comparison of two converged adjustments with separate frames; `lt.compare` explains options and errors."""
+    first: Adjustment, second: Adjustment, *, stable_names: Sequence[str] | None = None, with_scale: bool = False,
+    same_instrument: bool = False, alpha: float = 0.05
+) -> Comparison:  # fmt: skip
+    """Comparison of the targets of two converged adjustments, which have separate frames.
+
+    `stable_names` are targets that are certain not to have moved. `with_scale` estimates a scale of the second epoch.
+    `same_instrument` is True if one tracker with unchanged errors measured both. `alpha` is the significance level for
+    all targets together. Errors are those of `lt.compare`.
+    """
     undetermined = {*first.undetermined_targets, *second.undetermined_targets}
     common = [n for n in first.recording.targets if n in second.recording.targets and n not in undetermined]
     stable_points = _stable_point_mask("recordings", common, stable_names, n_frame_points=3)
@@ -65,15 +66,14 @@ def compare_adjustments(
 
 
 def compare_coordinates(
-    first: EpochCoordinates,
-    second: EpochCoordinates,
-    *,
-    stable_names: Sequence[str] | None = None,
-    has_free_motions: bool = False,
-    with_scale: bool = False,
-    alpha: float = 0.05,
-) -> Comparison:
-    """Comparison of two lists of coordinates, with separate frames if `has_free_motions`; errors as in `lt.compare`."""
+    first: EpochCoordinates, second: EpochCoordinates, *, stable_names: Sequence[str] | None = None,
+    has_free_motions: bool = False, with_scale: bool = False, alpha: float = 0.05
+) -> Comparison:  # fmt: skip
+    """Comparison of two lists of coordinates, which have separate frames if `has_free_motions` is True.
+
+    `stable_names` are points that are certain not to have moved. `with_scale` estimates a scale of the second list.
+    `alpha` is the significance level for all points together. Errors are those of `lt.compare`.
+    """
     if first.axes != second.axes:
         raise ModelError(
             f"the first list has the axes {first.axes}, the second {second.axes}; the axes must be the same"
@@ -107,7 +107,7 @@ def compare_coordinates(
 
 
 def _with_names_spelled_as(epoch: EpochCoordinates, names: Sequence[str]) -> tuple[EpochCoordinates, list[str]]:
-    """Epoch whose points are renamed as in `names` if only case, blanks or leading zeros differ, and a note on this."""
+    """Epoch with point names spelled as in `names` if only case, blanks or leading zeros differ, and a note on this."""
     spellings = {normalised_name(name): name for name in names if name not in epoch.names}
     unmatched_names = [name for name in epoch.names if name not in names]
     normalised = [normalised_name(name) for name in unmatched_names]
@@ -124,7 +124,10 @@ def _with_names_spelled_as(epoch: EpochCoordinates, names: Sequence[str]) -> tup
 
 
 def _with_rigid_motion_note(comparison: Comparison, compare_with_free_motions: Callable[[], Comparison]) -> Comparison:
-    """Comparison of lists in one frame, with a note if one rigid motion explains most displacements."""
+    """Comparison of lists in one frame, with a note if one rigid motion explains most displacements.
+
+    `compare_with_free_motions` computes the comparison for separate frames.
+    """
     n_points = len(comparison.displacements)
     if 2 * len(comparison.moved_points) <= n_points:
         return comparison
@@ -140,19 +143,14 @@ def _with_rigid_motion_note(comparison: Comparison, compare_with_free_motions: C
 
 
 def _compare_epochs(
-    first: _Epoch,
-    second: _Epoch,
-    with_scale: bool,
-    stable_mask: Bools,
-    is_declared_stable: Bools,
-    alpha: float,
-    epoch_sources: tuple[ResultSource, ResultSource],
-    axis_indices: Ints = ALL_AXIS_INDICES,
-    notes: Sequence[str] = (),
-) -> Comparison:
+    first: _Epoch, second: _Epoch, with_scale: bool, stable_mask: Bools, is_declared_stable: Bools, alpha: float,
+    epoch_sources: tuple[ResultSource, ResultSource], axis_indices: Ints = ALL_AXIS_INDICES,
+    notes: Sequence[str] = ()
+) -> Comparison:  # fmt: skip
     """Comparison of two epochs; points whose names are exchanged are compared by their positions.
 
-    The points flagged in `stable_mask` define the frame; the user declared those in `is_declared_stable` stable.
+    The points flagged in `stable_mask` (points,) define the frame. Those flagged in `is_declared_stable` are not
+    tested. `alpha` is the significance level for all points together.
     """
     gap = _epoch_difference(first, second, with_scale, stable_mask, axis_indices)
     result = congruence_test(gap, is_declared_stable, alpha, epoch_sources)
@@ -173,7 +171,7 @@ def _compare_epochs(
 def _stable_point_mask(
     point_noun: str, common_names: Sequence[str], stable_names: Sequence[str] | None, *, n_frame_points: int
 ) -> Bools:
-    """Mask of the common points that may define the frame: all of them, or the user's `stable_names`.
+    """Mask of the common points that may define the frame: all common points, or the user's `stable_names`.
 
     At least `n_frame_points` are necessary. `point_noun` names the epochs in messages, such as "recordings".
     """
@@ -252,12 +250,13 @@ class _Epoch:
 
 
 def _common_error_sources(first: Adjustment, second: Adjustment, same_instrument: bool) -> list[str]:
-    """Names of the sources of uncertainty whose errors two epochs share, because their declarations are equal."""
+    """Names of the sources of uncertainty whose errors two epochs share, since both recordings declare them equally."""
     earlier, later = first.recording.setup, second.recording.setup
     common = []
     if same_instrument:
         if first.problem.prior.sigma.shape != second.problem.prior.sigma.shape:
-            raise ModelError("the recordings have different numbers of instruments, so they cannot be the same ones")
+            needs = f"{option_text('same_instrument=True')} needs equal numbers"
+            raise ModelError(f"the recordings have different numbers of instruments; {needs}")
         common.append(PRIOR_SOURCE_NAME)
     if (
         earlier.gauge is not None
@@ -276,7 +275,7 @@ def _common_error_sources(first: Adjustment, second: Adjustment, same_instrument
 
 
 def _gauge_without_temperatures(gauge: LengthGauge) -> LengthGauge:
-    """Gauge (reflectors at known distances) with certified lengths only, without temperatures of the measurement."""
+    """Copy of a gauge (reflectors at known distances) with its certified lengths, without measured temperatures."""
     plain = {"measured_at_c": None, "sigma_temperature_k": None}
     lengths = tuple(line.model_copy(update=plain) for line in gauge.distance)
     return gauge.model_copy(update={"measured_at_c": 0.0, "sigma_temperature_k": None, "distance": lengths})
@@ -328,8 +327,8 @@ def _motions_with_rotations_about_centre(free_motions: Floats, centre: Floats) -
 
 
 MAX_NAME_EXCHANGE_RATIO = 0.1
-"""Largest ratio at which the names of two points count as exchanged: distance of each point from the first-epoch
-position of the other one, divided by the distance between the two points."""
+"""Largest ratio at which the names of two points count as exchanged. The ratio is the distance of each point from the
+first-epoch position of the other point, divided by the distance between the two points."""
 MOTIONS_BY_RANK_DEFECT = {3: (0, 1, 2), 4: (0, 1, 2, 5), 6: tuple(range(6))}
 """Indices of the free rigid motions of a network, by the rank defect of its covariance matrix; 0 to 2 are translations
 along x, y and z, 3 to 5 are rotations about these axes."""
@@ -339,7 +338,8 @@ def free_motions_of_epoch(epoch: EpochCoordinates) -> Floats:
     """Coefficients (6, motions) of the rigid motions that an epoch leaves free, from the rank defect of its covariance.
 
     If inner constraints over all points define the datum, the variance along the free motions is zero. If only some
-    points define it, the defect is equal but its directions differ; `MOTIONS_BY_RANK_DEFECT` then gives the motions.
+    points define the datum, the rank defect is the same but other directions have no variance; `MOTIONS_BY_RANK_DEFECT`
+    then gives the motions.
     """
     scale = np.sqrt(np.diag(epoch.covariance))
     eigenvalues = np.linalg.eigvalsh(epoch.covariance / np.outer(scale, scale))
@@ -368,7 +368,7 @@ def free_motions_of_epoch(epoch: EpochCoordinates) -> Floats:
 def order_of_exchanged_names(difference: EpochDifference, moved_points: Sequence[int]) -> Ints | None:
     """Order (points,) of the second epoch's points that corrects exchanged names; None if no names are exchanged.
 
-    Names are exchanged if each of the `moved_points` (indices) is near the first-epoch position of another one of them.
+    Names are exchanged if each of the `moved_points` (indices) is near the first-epoch position of another moved point.
     """
     if len(moved_points) < 2:
         return None

@@ -38,7 +38,7 @@ class FittedFeature:
     """Radius (...) [m] of a circle, sphere or cylinder; NaN for a line and a plane."""
     deviations: Floats
     """Signed orthogonal distance of each point from the feature, shape (..., points) [m]; unsigned for a line. For a
-    circle it is the radial or the axial deviation, whichever is larger."""
+    circle the deviation is the radial or the axial one, whichever is larger."""
 
 
 MIN_POINTS_BY_FEATURE = {"line": 2, "plane": 3, "circle": 3, "sphere": 4, "cylinder": 5}
@@ -48,8 +48,9 @@ MIN_POINTS_BY_FEATURE = {"line": 2, "plane": 3, "circle": 3, "sphere": 4, "cylin
 def fit_feature(feature_kind: str, points: Floats, start_feature: FittedFeature | None = None) -> FittedFeature:
     """Feature fitted to points (..., points, 3) [m] by least squares.
 
-    `feature_kind` is a key of `MIN_POINTS_BY_FEATURE`. `start_feature` is an approximate feature; without it, a
-    cylinder is fitted from many initial directions. Raises ModelError if the points do not determine the feature.
+    `feature_kind` is `line`, `plane`, `circle`, `sphere` or `cylinder`. `start_feature` is an approximate feature;
+    without it, a cylinder is fitted from many initial directions. Raises ModelError if the points do not determine the
+    feature.
     """
     points = np.asarray(points, dtype=np.float64)
     if points.shape[-2] < MIN_POINTS_BY_FEATURE[feature_kind]:
@@ -174,7 +175,10 @@ def _refine_cylinder(
     *,
     raises_if_undetermined: bool = True,
 ) -> FittedFeature:
-    """Cylinder after Gauss-Newton iterations from an approximate axis direction, centre and radius."""
+    """Cylinder after Gauss-Newton iterations from an approximate axis direction, centre and radius.
+
+    If the points do not determine it, the result is NaN, or ModelError is raised with `raises_if_undetermined`.
+    """
     for _ in range(MAX_ITERATIONS):
         (first, second), along, x, y = _axis_coordinates(centred_points, centre, axis_direction)
         reach = np.maximum(np.hypot(x, y), 1e-300)
@@ -216,7 +220,10 @@ def _axis_coordinates(
 def _projected_circle(
     centred_points: Floats, axis_direction: Floats, *, raises_if_undetermined: bool = True
 ) -> tuple[Floats, Floats]:
-    """Centre (..., 3) and radius (...) [m] of an algebraic circle through points that are projected along an axis."""
+    """Centre (..., 3) and radius (...) [m] of an algebraic circle through points that are projected along an axis.
+
+    If the points do not determine it, the result is NaN, or ModelError is raised with `raises_if_undetermined`.
+    """
     (first, second), _, x, y = _axis_coordinates(centred_points, np.zeros_like(axis_direction), axis_direction)
     middle, radius = _algebraic_fit(np.stack([x, y], axis=-1), raises_if_undetermined=raises_if_undetermined)
     return middle[..., :1] * first + middle[..., 1:] * second, radius
@@ -225,7 +232,8 @@ def _projected_circle(
 def _algebraic_fit(centred_points: Floats, *, raises_if_undetermined: bool = True) -> tuple[Floats, Floats]:
     """Centre (..., 2 or 3) and radius (...) [m] of a circle or sphere by linear least squares, without start values.
 
-    Centre c and radius r minimise the sum over all points p of (|p - c|^2 - r^2)^2.
+    Centre c and radius r minimise the sum over all points p of (|p - c|^2 - r^2)^2. If the points do not determine
+    them, they are NaN, or ModelError is raised with `raises_if_undetermined`.
     """
     design = np.concatenate([2.0 * centred_points, np.ones((*centred_points.shape[:-1], 1))], axis=-1)
     squared_norms = np.sum(centred_points**2, axis=-1)

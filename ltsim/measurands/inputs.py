@@ -50,13 +50,14 @@ REFERENCE_LENGTHS_SOURCE_NAME = "known lengths"
 CONTROL_POINTS_SOURCE_NAME = "control points"
 """Name, in budgets, of the uncertainty that comes from the coordinates of control points."""
 PRIOR_SOURCE_NAME = "specification"
-"""Name, in budgets, of the uncertainty that comes from the prior of the instrument parameters."""
+"""Name, in budgets, of the uncertainty that comes from the specification of the instrument (prior of its
+parameters)."""
 CORRECTED_ERRORS_SOURCE_NAME = "plausible size of corrected errors"
 """Name, in budgets, of the uncertainty that comes from errors of the recording which the model corrects with a weak
 prior."""
 RANDOM_STREAM_KEY_BY_SOURCE = {PRIOR_SOURCE_NAME: "what the maker guarantees"}
-"""Key of the random stream of each source whose key is not its name. The draws depend on the key, which therefore must
-not change."""
+"""Key of the random stream of each source of uncertainty whose key differs from its name. The random draws depend on
+the key, so that a change of the key would change results."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,8 @@ class TaskInputs(ValueEquality):
     sources: tuple[UncertaintySource, ...]
     """Sources of uncertainty of the points."""
     air_text: str = ""
-    """Phrase on the errors of the air that the sources include; empty if they are negligible (short ranges)."""
+    """Phrase on the errors of the air that are among the sources; empty if errors of the air are negligible (short
+    ranges)."""
     displacements_by_shared_air_error: dict[str, Floats] = field(default_factory=dict)
     """Displacement (coordinates,) [m] of the points by one standard deviation of each error of the air that all
     stations share and that changes no residual, by description of the error. `sources` do not include these errors."""
@@ -169,7 +171,7 @@ def _target_names(tasks: Tasks) -> tuple[str, ...]:
 
 
 def observation_uncertainty_sources(adjustment: Adjustment, point_derivatives: Floats) -> list[UncertaintySource]:
-    """Sources of uncertainty from the groups of observations, except observations that only define the frame.
+    """Sources of uncertainty from each group of observations, except observations that only define the frame.
 
     `point_derivatives` (observations, coordinates) [m] are the derivatives of the coordinates by the whitened
     observations. Errors that reference lengths share (expansion coefficient, thermometer) are separate sources. Errors
@@ -211,7 +213,7 @@ def _nuisance_sources(adjustment: Adjustment, point_derivatives: Floats) -> list
     """Sources of uncertainty, one per kind of error, from errors that the adjustment estimates with a prior.
 
     `point_derivatives` (errors, coordinates) [m] are the derivatives of the coordinates by the whitened prior values of
-    these errors. The errors of additional effects, which the model corrects, come first.
+    these errors. The first errors are those of additional effects that the model corrects.
     """
     model = adjustment.problem.model
     finite = np.isfinite(adjustment.problem.effect_prior_sigmas[: model.n_effect_parameters])
@@ -314,7 +316,10 @@ def _type_b_source(
 
 
 def _effect_and_sizes(recording: Recording, type_b_entry: TypeBEffect, entry_number: int) -> tuple[Effect, Floats]:
-    """Effect of an entry of the task file, and sizes (parameters,) [SI] of its parameters."""
+    """Effect of an entry of the task file, and size (parameters,) [SI] of each of its parameters.
+
+    The size is the standard deviation of a normal distribution, or the half-width of another distribution.
+    """
     try:
         effect = make_effect(
             type_b_entry.effect,

@@ -31,12 +31,12 @@ class TaskOutput:
 
 
 def _outputs_in_mm(*names: str) -> list[TaskOutput]:
-    """Outputs with these names and the unit mm."""
+    """Definitions (name, unit) of results of a task with the given names and the unit mm."""
     return [TaskOutput(name, "mm", MILLIMETRE) for name in names]
 
 
 def _outputs_in_degrees(*names: str) -> list[TaskOutput]:
-    """Outputs with these names and the unit degree."""
+    """Definitions (name, unit) of results of a task with the given names and the unit degree."""
     return [TaskOutput(name, "deg", DEGREE) for name in names]
 
 
@@ -49,8 +49,8 @@ class Measurand(ValueEquality):
     target_indices: Ints
     """Indices of the targets of the task among the points of the network."""
     reference_feature: FittedFeature | None = field(default=None, repr=False)
-    """Feature fitted to the estimated points, or None. Fits to other points start from it, and signs of directions are
-    those of its direction."""
+    """Feature fitted to the estimated points; None for a task without a feature. Fits to displaced points start from
+    this feature, and their directions have the sign of its direction."""
 
     @classmethod
     def from_task(cls, task: Task, targets: Sequence[str], points: Floats) -> Self:
@@ -94,8 +94,8 @@ class Measurand(ValueEquality):
     def values(self, points: Floats, length_ratio: Floats | float = 1.0) -> Floats:
         """Results (..., results) [SI] of the task for sets of points (..., points, 3) [m].
 
-        Each set is first divided by its `length_ratio` about its centroid. This is the length of the part in the
-        measurement divided by its length at the reference temperature.
+        Each set of points is first scaled about its centroid by 1 / `length_ratio`. The length ratio is the length of
+        the part in the measurement divided by its length at the reference temperature.
         """
         scaled_points = points[..., self.target_indices, :]
         centre = scaled_points.mean(axis=-2, keepdims=True)
@@ -118,8 +118,8 @@ class Measurand(ValueEquality):
     def point_derivatives(self, points: Floats, length_ratio: float = 1.0) -> Floats:
         """Derivatives (results, coordinates) of the results by the coordinates of the points (points, 3) [m].
 
-        They are computed by central differences. `length_ratio` is the length of the part in the measurement divided by
-        its length at the reference temperature.
+        The derivatives are computed by central differences. `length_ratio` is the length of the part in the measurement
+        divided by its length at the reference temperature.
         """
         n_coordinates = 3 * len(self.target_indices)
         columns = (3 * self.target_indices[:, None] + np.arange(3)).ravel()
@@ -205,11 +205,11 @@ _QUANTITIES_BY_FEATURE = {
     "sphere": ("centre", "diameter", "form"),
     "cylinder": ("normal", "diameter", "form"),
 }
-"""Names of the quantities that a task reports, by kind of feature."""
+"""Names of the quantities that a task reports on a fitted feature, by kind of feature."""
 _DIRECTION_OUTPUTS = [TaskOutput(f"direction-{axis}", "", 1.0) for axis in "xyz"]
-"""Results of a task for the components of a unit vector along a line or axis."""
+"""Names and units of the components of a unit vector along a line or axis, as results of a task."""
 _NORMAL_OUTPUTS = [TaskOutput(f"normal-{axis}", "", 1.0) for axis in "xyz"]
-"""Results of a task for the components of a unit normal vector."""
+"""Names and units of the components of a unit normal vector, as results of a task."""
 _OUTPUTS_BY_TASK_KIND = {
     "point": _outputs_in_mm("x", "y", "z"),
     "rod": _outputs_in_mm("x", "y", "z"),
@@ -221,4 +221,5 @@ _OUTPUTS_BY_TASK_KIND = {
     "sphere": _outputs_in_mm("x", "y", "z", "diameter", "sphericity"),
     "cylinder": [*_DIRECTION_OUTPUTS, *_outputs_in_mm("diameter", "cylindricity")],
 }
-"""Results of a task, by kind of task, for the kinds whose results do not depend on the targets."""
+"""Names and units of the results of a task, by kind of task, for the kinds whose list of results is the same for any
+targets."""

@@ -39,7 +39,7 @@ for which no warning is given."""
 def thermal_expansion_of_part(declared_expansion: PartExpansion | None) -> ThermalExpansion:
     """Thermal expansion of a part from the reference temperature to its temperature in the measurement.
 
-    It is zero if the task file declares no expansion.
+    The expansion is zero if the task file declares none.
     """
     if declared_expansion is None:
         return ThermalExpansion()
@@ -174,7 +174,8 @@ CHARACTERISTIC_FUNCTIONS: dict[str, Callable[[Floats], Floats]] = {
     "triangular": lambda t: np.sinc(np.sqrt(1.5) * t / np.pi) ** 2,
     "arcsine": lambda t: special.j0(np.sqrt(2.0) * t),
 }
-"""Characteristic function of each distribution with mean 0 and standard deviation 1."""
+"""Characteristic function of each distribution, scaled to mean 0 and standard deviation 1, by name of the
+distribution."""
 
 
 @dataclass(frozen=True)
@@ -295,7 +296,7 @@ def _draw_errors(
 
 
 def _evaluate_results(measurands: Sequence[Measurand], points: Floats, length_ratio: Floats) -> Floats:
-    """Results (trials, results) [SI] of all tasks for the points (trials, points, 3) [m] of a part.
+    """Results (trials, results) [SI] of all tasks for the displaced points (trials, points, 3) [m] of each trial.
 
     `length_ratio` (trials,) is the length of the part in the measurement divided by its length at the reference
     temperature.
@@ -310,7 +311,7 @@ def _linear_statistics(
 ) -> Floats:
     """Mean, standard deviation and two interval limits of each linearised result, shape (4, results) [SI].
 
-    They are computed from the exact distribution, without random draws.
+    They are computed from the exact distribution of the linearised results, without random draws.
     """
     others = [
         (s.distribution, linear_uncertainty.point_derivatives @ s.displacements_per_sigma)

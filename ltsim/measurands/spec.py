@@ -50,9 +50,9 @@ class ToleranceLimits(TomlSection):
     @model_validator(mode="after")
     def _check_limit_order(self) -> Self:
         if self.lower is None and self.upper is None:
-            raise ValueError("it should give lower, upper or both")
+            raise ValueError("a tolerance should have lower, upper or both")
         if self.lower is not None and self.upper is not None and self.lower >= self.upper:
-            raise ValueError("it should give a lower limit below the upper one")
+            raise ValueError("lower should be below upper")
         return self
 
 
@@ -89,22 +89,23 @@ class Task(TomlSection):
     def _check_targets(self) -> Self:
         n_required = N_TARGETS_BY_KIND.get(self.kind)
         if n_required is not None and len(self.targets) != n_required:
-            raise ValueError(f"it should name {n_required} targets for a {self.kind}")
+            raise ValueError(f"targets should be {n_required} names for kind = '{self.kind}'")
         if len(set(self.targets)) < len(self.targets):
-            raise ValueError("it should name each target once")
+            raise ValueError("targets should contain each name once")
         if (self.kind == "rod") != (self.tip_distance_mm != 0):
-            raise ValueError("it should give tip_distance_mm (not 0) for a rod, and for no other kind")
+            raise ValueError("tip_distance_mm should be given (not 0) for kind = 'rod', and for no other kind")
         if self.kind in ("transformation", "pose", "deviation"):
             missing = [name for name in self.targets if name not in self.nominal_mm]
             if missing:
-                raise ValueError(f"it should give nominal_mm of {missing[0]}")
+                raise ValueError(f"nominal_mm should contain the coordinates of {missing[0]}")
         return self
 
 
 class TypeBEffect(TomlSection):
     """Effect that is not visible in the readings, with the distribution of its parameters (type B uncertainty).
 
-    Parameters of the effect without an entry in `sizes` have their plausible size as standard deviation.
+    A parameter of the effect without an entry in `sizes` has the plausible size that `ltsim effects` lists as standard
+    deviation.
     """
 
     effect: str
@@ -113,7 +114,7 @@ class TypeBEffect(TomlSection):
     """Distribution of the parameters of the effect."""
     sizes: dict[str, Positive] = Field(default_factory=dict)
     """Standard deviation (half-width, if the distribution is not normal) of each parameter of the effect, by name, in
-    display units."""
+    the units that `ltsim effects` lists."""
     draw_shared_by: Literal["all", "station", "instrument", "target", "pointing"] = "all"
     """Pointings that share one random draw of the parameters: all, those of one station, instrument or target, or each
     pointing alone."""
@@ -122,13 +123,14 @@ class TypeBEffect(TomlSection):
     targets: DistinctValues[str] = ()
     """Names of the targets where the effect acts; empty for all."""
     shape: dict[str, Finite | str | tuple[Finite, ...]] = Field(default_factory=dict)
-    """Shape parameters of the effect (period, time constant, onset time) by name, as in a scenario."""
+    """Shape parameters of the effect (period, time constant, onset time) by name, in the units that `ltsim effects`
+    lists."""
     name: str = ""
     """Name of this source of uncertainty in the budget; default the name of the effect."""
 
 
 class PartExpansion(TomlSection):
-    """Thermal expansion of the part from the reference temperature `reference_c` to its temperature `measured_c`."""
+    """Thermal expansion of the measured part, from the temperature `reference_c` to its temperature `measured_c`."""
 
     expansion_per_k: Finite
     """Coefficient of thermal expansion of the part [1/K]."""
@@ -177,7 +179,7 @@ class Tasks(TomlSection):
     calibrate: bool = True
     """True if the instrument parameters are estimated together with the network."""
     datum: DistinctValues[str] = ()
-    """Names of the targets that define the datum by inner constraints; empty for the default datum."""
+    """Names of the targets that define the datum by inner constraints; empty for the datum of `ltsim adjust`."""
     robust: bool = False
     """True if outliers among the readings are excluded."""
     task: Annotated[tuple[Task, ...], Field(min_length=1)]
@@ -199,7 +201,7 @@ class Tasks(TomlSection):
         names = [task.name for task in self.task]
         twice = next((name for name, count in Counter(names).items() if count > 1), None)
         if twice is not None:
-            raise ValueError(f"it should not name two tasks '{twice}'")
+            raise ValueError(f"two tasks have the name '{twice}'; give each task a different name")
         return self
 
 

@@ -209,7 +209,7 @@ class Uncertainty(ResultFile):
     """Standard deviation of unit weight: square root of chi-square divided by the degrees of freedom of the adjustment;
     null for a list of coordinates."""
     results: tuple[TaskResult, ...] = Field(min_length=1)
-    """Results of all tasks, one entry for each number."""
+    """Results of all tasks, one entry for each number (a task such as `point` has three results)."""
     correlation: tuple[tuple[OptionalFloat, ...], ...]
     """Correlation matrix of the results, in the order of `results`."""
     warnings: tuple[str, ...] = ()

@@ -87,7 +87,8 @@ def compare(
     first, second : Recording, EpochCoordinates, str or Path
         Two recordings, or two lists of coordinates with their covariance (`ltsim.recordings.coordinates`).
     stable : str or sequence of str, optional
-        Names of points that are certain not to have moved; they are not tested. Default: determined by the test.
+        Names of points that are certain not to have moved; they are not tested. By default the test determines which
+        points are stable.
     free : bool
         True if two lists of coordinates have different frames, so that the second is aligned to the first.
     scaled : bool

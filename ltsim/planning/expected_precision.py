@@ -1,4 +1,4 @@
-"""Expected precision of a layout before measurement: standard deviations, undetermined parameters, criteria.
+"""Expected precision of a layout before measurement: standard deviations, undetermined parameters, disagreement.
 
 The least-squares problem of the calibration is linearised for a perfect instrument at the planned positions. Its
 covariance matrix does not depend on readings.
@@ -44,7 +44,7 @@ class ExpectedPrecision:
     """Planned survey to which the precision refers."""
     adjustment: Adjustment
     """Least-squares adjustment, linearised for a perfect instrument at the planned positions; its covariance is the
-    expected one."""
+    expected covariance."""
 
     @classmethod
     def from_survey(cls, survey: PlannedSurvey, construction: GeometricErrorModel | None = None) -> ExpectedPrecision:
@@ -89,7 +89,7 @@ class ExpectedPrecision:
 
     @cached_property
     def instrument_sigmas(self) -> Floats:
-        """Expected standard deviation (p,) of each of the p instrument parameters [m, rad or 1]."""
+        """Expected standard deviation (p,) of the p instrument parameters [m, rad or 1], from readings and priors."""
         return np.sqrt(np.diag(self.instrument_covariance))
 
     @cached_property
@@ -152,8 +152,8 @@ ERROR_GROUP_BY_SPECIFIED_QUANTITY = {
     "range_scale": "range scale",
     "range_offset": "range offset",
 }
-"""Name of the error group of an instrument parameter, by the data-sheet quantity that defines its prior; None stands
-for a parameter without such a quantity."""
+"""Name of the error group of an instrument parameter, by the quantity of the data sheet from which its prior standard
+deviation follows; the key None stands for a parameter without such a quantity."""
 RANGE_NOISE_GROUP_NAME = "range noise"
 """Name of the error group that holds the noise of ranges."""
 ANGLE_NOISE_GROUP_NAME = "angle noise"
@@ -168,8 +168,8 @@ REFLECTORS_GROUP_NAME = "reflectors"
 class ExpectedDisagreement:
     """Expected mean disagreement of the stations in distances and coordinates [m], before and after calibration.
 
-    These are the criteria of Sensors 2021, 21, 7479, eq. 11 and 12. Each field has the shape (k,), for k assumptions on
-    the sizes of the errors.
+    The disagreements are the criteria of Sensors 2021, 21, 7479, eq. 11 and 12. Each field has the shape (k,), for k
+    assumptions on the sizes of the errors.
     """
 
     distance_disagreement_before: Floats

@@ -35,10 +35,10 @@ NORMAL_EQUATION_LENGTH_UNIT = 1e-5
 
 
 def incidence_error_flags(incidence_errors: IncidenceErrors, pointing_targets: Ints, n_targets: int) -> Floats:
-    """Flags (T,) of T targets: 1 if the reflector of a target has these errors of incidence, otherwise 0.
+    """Flags (T,) of T targets: 1 if the effect `incidence_errors` acts on the reflector of a target, otherwise 0.
 
-    `incidence_errors` are errors that depend on the angle of incidence on a reflector. `pointing_targets` (n,) holds
-    the index of the target of each of n pointings.
+    `incidence_errors` are range errors that depend on the angle of incidence at a reflector. `pointing_targets` (n,)
+    holds the index of the target of each of n pointings.
     """
     indicator = np.zeros(n_targets)
     np.maximum.at(indicator, pointing_targets, incidence_errors.reflector_indicator)
@@ -110,11 +110,10 @@ class LayoutScorer:
     def _store_shared_blocks(
         self, design: Floats, target_columns: Ints, pose_columns: Ints, parameter_columns: Ints
     ) -> None:
-        """Contributions to the normal equations that all layouts share: gauge, control points, levels, priors.
+        """Storage of the contributions to the normal equations that all layouts share (gauge, levels, priors, ...).
 
-        They are stored in the scorer. `design` is the whitened design matrix of these observations. `target_columns`
-        (T, 3), `pose_columns` (S, 6) and `parameter_columns` are the indices of its columns for T targets, S poses and
-        parameters.
+        `design` is the whitened design matrix of these observations. `target_columns` (T, 3), `pose_columns` (S, 6) and
+        `parameter_columns` are the indices of its columns for T targets, S poses and parameters.
         """
         extra = np.zeros((len(design), len(self.parameter_scales) - len(parameter_columns)))
         front = [
@@ -342,7 +341,8 @@ class LayoutScorer:
     def weighted_target_rms(self, schur: Floats, inverses: Floats, coefficients: Floats, targets: Ints) -> Floats:
         """Weighted root mean square point error (B,) [m] of targets in B layouts, with the survey's target weights.
 
-        The arguments are as in `squared_point_errors`.
+        `schur` (B, K, K), `inverses` (B, E, 3, 3) and `coefficients` (B, E, 3, K) are results of `eliminate_targets`.
+        `targets`, (E,) or (B, E), holds the indices of the E targets in the survey.
         """
         variance = self.squared_point_errors(schur, inverses, coefficients, targets)
         weight = self._target_weights[self.target_indices_with_gauge(targets)]

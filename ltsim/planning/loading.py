@@ -37,8 +37,8 @@ plan file that describes a hall."""
 MAX_PLAN_POINTS = 2_000
 """Largest number of points in the list of a plan. The search needs 130 kB of memory for each point."""
 MAX_SAME_POINT_DISTANCE_MM = 0.1
-"""Largest distance [mm] between a point of a list and the target of the same name in the scenario at which both are the
-same point; a larger one is an error."""
+"""Largest distance [mm] between a point of a list and the target of the same name in the scenario at which both count
+as the same point. A larger distance is an error."""
 DEFAULT_STATION_COUNT = 4
 """Number of initial stations in a hall if the plan file gives no number."""
 MAX_GRID_SETUPS = 200_000
@@ -136,7 +136,7 @@ def _scenario_of_plan(plan_file: PlanFile, plan_tables: dict[str, Any], path: Pa
 
 
 def _check_names(plan_file: PlanFile, scenario: Scenario, file: object) -> None:
-    """Check that names in a plan file refer to existing objects, and that names of new reflectors are not yet used.
+    """Check that names in a plan file refer to objects of `scenario`, and that names of new reflectors are unused.
 
     Raises InputError, which names `file`.
     """
@@ -327,7 +327,7 @@ def require_small_grid(plan_file: PlanFile, scenario: Scenario) -> None:
 def _initial_station_positions(plan_file: PlanFile, scenario: Scenario, n_stations: int) -> Floats:
     """Initial positions (`n_stations`, 3) [m] of the stations in a hall.
 
-    Each further station is at the grid point that sees most of the targets which no earlier station sees. Raises
+    Stations are placed one after the other, each at the grid point that sees most of the targets not yet seen. Raises
     InputError if the floor has no room for the stations.
     """
     heights = (USUAL_HEAD_HEIGHTS_MM[0] * MILLIMETRE, USUAL_HEAD_HEIGHTS_MM[1] * MILLIMETRE)

@@ -33,10 +33,10 @@ MIN_REPORTED_GAIN = 0.01
 """Smallest relative improvement of the objective since the last report at which a new best layout is reported."""
 
 ObjectiveAndSurvey = tuple[float, PlannedSurvey]
-"""Objective and survey of a layout."""
+"""Value of the objective function of a layout (smaller is better), and survey with this layout."""
 LayoutsByStationsAndFaces = dict[tuple[int, int], list[tuple[float, int, PlannedSurvey]]]
-"""Objective, number of the start, and survey of each layout that a search found, by number of stations and number of
-faces."""
+"""Value of the objective function (smaller is better), number of the initial layout from which the search started, and
+survey, for each layout that a search found; by number of stations and number of faces."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ def run_searches(
             store_survey(survey, value)
 
     def callbacks_of_task(task_number: int) -> tuple[Callable[[float], None], Callable[[StationLayout], None]]:
-        """Callbacks of a search in this process: for its finished fraction, and for each better layout."""
+        """Callbacks of search `task_number` in this process: for its finished fraction, and for each better layout."""
         site = problem.search_space(tasks[task_number])
         return (
             lambda part: report_progress((finished + part) / len(tasks)),
@@ -156,7 +156,8 @@ def _layout_of_start(
     """Task number, and the pair of objective and layout at the end of the search for this task.
 
     The pair is None if the search finds no layout that meets the rules of the plan, or none that determines all
-    unknowns. The callbacks are those of `search_from_start`.
+    unknowns. `report_progress` is called with the finished fraction of the search, `store_layout` with each better
+    layout.
     """
     try:
         return task_number, search_from_start(problem, task, report_progress, store_layout)

@@ -20,7 +20,7 @@ class NormalBlocks:
     setup_positions: Floats
     """Positions of the N set-ups, (N, 3) [m]."""
     setup_yaws: Floats
-    """Yaw of each of the N set-ups, (N,) [rad]."""
+    """Yaw (direction of azimuth zero, counter-clockwise from x) of each of the N set-ups, (N,) [rad]."""
     is_visible: Bools
     """Flags (N, T): True where one of N set-ups measures one of T targets."""
     has_determined_pose: Bools
@@ -35,16 +35,16 @@ class NormalBlocks:
     P, 6 + P)."""
 
     def select(self, indices: Ints) -> NormalBlocks:
-        """Contributions of the set-ups with the given indices, in the order of the indices."""
+        """Contributions to the normal equations of the set-ups with the given indices, in the order of the indices."""
         return NormalBlocks(*(getattr(self, field.name)[indices] for field in fields(self)))
 
     @classmethod
     def concatenate(cls, groups: Sequence[NormalBlocks]) -> NormalBlocks:
-        """Contributions of several groups of set-ups, one group after the other."""
+        """Contributions, to the normal equations, of several groups of set-ups, one group after the other."""
         return cls(*(np.concatenate([getattr(part, field.name) for part in groups]) for field in fields(cls)))
 
     def with_replaced_station(self, station_index: int, replacement: NormalBlocks) -> NormalBlocks:
-        """Contributions of a layout after the single set-up `replacement` has replaced the station with this index."""
+        """Contributions of a layout to the normal equations, with the set-up `replacement` in place of a station."""
         stations = np.arange(len(self.setup_positions))
         return self.concatenate([self, replacement]).select(
             np.where(stations == station_index, len(stations), stations)

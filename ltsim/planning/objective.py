@@ -26,21 +26,21 @@ from ltsim.planning.layout_scorer import LayoutPrecision
 CriterionName = Literal["D", "A", "E"]
 """Name of an optimality criterion: D (determinant), A (mean variance) or E (worst combination)."""
 INSTRUMENT_QUALITY_NAME = "instrument"
-"""Name of the quality that is an optimality criterion of the instrument parameters."""
+"""Name of the quality of a layout that is an optimality criterion of the instrument parameters."""
 TARGETS_QUALITY_NAME = "targets"
-"""Name of the quality that is the weighted root mean square point error of the targets."""
+"""Name of the quality of a layout that is the weighted root mean square point error of the targets."""
 DIAGNOSIS_QUALITY_NAME = "diagnosis"
-"""Name of the quality that is the geometric mean of the minimal detectable sizes of effects, relative to plausible
-sizes."""
+"""Name of the quality of a layout that is the geometric mean of the minimal detectable sizes of effects, each divided
+by a plausible size."""
 QUALITY_PHRASES = {
     INSTRUMENT_QUALITY_NAME: "the precision of the instrument parameters",
     TARGETS_QUALITY_NAME: "the precision of the targets",
     DIAGNOSIS_QUALITY_NAME: "the sensitivity of a diagnosis to effects",
 }
-"""Noun phrase for each quality in sentences for users, by the name of the quality."""
+"""Noun phrase for each quality of a layout in sentences for users, by the name of the quality."""
 MIN_SWEEP_IMPROVEMENT = 1e-4
-"""Smallest relative improvement of the objective by a sweep (one attempt to replace each station) after which another
-sweep follows."""
+"""Smallest relative improvement of the objective by a sweep (one attempt to replace each station) after which the
+search makes another sweep."""
 
 
 def d_criterion(covariance: Floats) -> Floats:
@@ -77,7 +77,7 @@ CRITERION_FUNCTIONS: dict[CriterionName, Callable[[Floats], Floats]] = {
 
 @dataclass(frozen=True)
 class LayoutObjective:
-    """Objective of layouts as a weighted geometric mean of up to three qualities; smaller is better."""
+    """Objective function of layouts, a weighted geometric mean of up to three qualities; smaller is better."""
 
     quality_weights: Mapping[str, float] = field(default_factory=lambda: {INSTRUMENT_QUALITY_NAME: 1.0})
     """Weight of each quality by name: `instrument` (optimality criterion of the parameters, in prior sigmas), `targets`
@@ -145,7 +145,8 @@ def mean_detectable_size(
     """Geometric mean (B,), over the parameters of effects, of minimal detectable size divided by plausible size.
 
     `information` (B, P, P) are information matrices of B layouts for P parameters: first the `n_parameters` of the
-    instrument, then those of `effects`. `n_diagnosis_variants_by_effect` is as in `LayoutObjective`.
+    instrument, then those of `effects`. `n_diagnosis_variants_by_effect` is the number of variants of each effect (in
+    station, target or shape parameters) that a diagnosis tests.
     """
     sought = {**Counter(effect.name for effect in effects), **(n_diagnosis_variants_by_effect or {})}
     parameter_block = information[:, :n_parameters, :n_parameters]

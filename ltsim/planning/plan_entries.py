@@ -35,7 +35,7 @@ class PlannedStationEntry(Entry):
     position_mm: Vector
     """Position of the centre of the tracker head [mm], in the hall frame."""
     yaw_deg: Finite
-    """Direction of azimuth zero [deg], counter-clockwise from the x axis."""
+    """Direction of azimuth zero [deg], counter-clockwise (seen from above) from the x axis of the hall."""
     sigma_position_um: XyzSizesUm = ()
     """Expected standard deviations of the position along x, y and z [um]."""
     visible_reflectors: int = 0
@@ -173,7 +173,7 @@ class AgreementImprovementEntry(Entry):
     def from_expected_disagreement(cls, expected_disagreement: ExpectedDisagreement) -> dict[str, Self]:
         """Expected improvement in distances (key "distance") and in coordinates of targets (key "coordinate").
 
-        If criteria are given for several assumptions on the sizes of the errors, the first assumption is used.
+        If the disagreement is given for several assumptions on the sizes of the errors, the first assumption is used.
         """
         e = expected_disagreement
         criteria = {
@@ -198,8 +198,9 @@ class ProcedureEntry(Entry):
     hours: Finite
     """Duration of the whole measurement [h]."""
     qualities: QualityValues = Field(default_factory=dict)
-    """Qualities with a weight in the goal, by name; smaller is better. `targets` is the weighted root mean square point
-    error [m]; the weight of a point is its `weight` divided by the square of its tolerance."""
+    """Values of the qualities (`instrument`, `targets`, `diagnosis`) with a weight in the goal, by name; smaller is
+    better. `targets` is the weighted root mean square point error [m]; the weight of a point is its `weight` divided by
+    the square of its tolerance."""
 
     @staticmethod
     def _procedure_fields(survey: PlannedSurvey, qualities: dict[str, float]) -> dict[str, Any]:
@@ -227,7 +228,7 @@ class PlannedLayoutEntry(ProcedureEntry):
     """Linear combinations of instrument parameters that the layout does not determine."""
     expected_improvement: dict[str, AgreementImprovementEntry] | None = None
     """Expected improvement by calibration of the agreement of the stations, in distances and in coordinates of targets
-    (criteria of Sensors 2021, 21, 7479)."""
+    (equations 11 and 12 of Sensors 2021, 21, 7479)."""
     blocked_sights: tuple[str, ...] = ()
     """Sentence on each pair of station and reflector without visibility, with the reason."""
 
@@ -270,7 +271,7 @@ class TradeoffEntry(ProcedureEntry):
     station_count: int
     """Number of stations."""
     objective_value: OptionalFloat = None
-    """Objective of the best layout; smaller is better."""
+    """Value of the objective function for the best layout; smaller is better."""
     is_efficient: bool = False
     """True if every point of the trade-off curve with a shorter duration has a worse objective."""
     layout: tuple[PlannedStationEntry, ...] = ()
@@ -303,7 +304,7 @@ class LossCheckEntry(Entry):
     lost_station_or_sight: str
     """Name of the lost station, or description of the lost sight."""
     tolerances_met: bool
-    """True if all tolerances are met after the loss."""
+    """True if all tolerances are met after the loss of the station or sight."""
     max_tolerance_ratio: OptionalFloat = None
     """Largest ratio of point error to tolerance after the loss; null if a point is undetermined."""
     worst_point: str = ""
@@ -313,7 +314,7 @@ class LossCheckEntry(Entry):
 
     @classmethod
     def from_check(cls, check: ToleranceCheck) -> Self:
-        """Entry of the check of a layout after a loss."""
+        """Entry of the check of the tolerances after the loss of a station or a sight."""
         return cls(
             lost_station_or_sight=check.lost_station_or_sight,
             tolerances_met=check.meets_all_tolerances,
@@ -341,23 +342,28 @@ class DetectableSize(Entry):
     """
 
     effect: str
-    """Identifier of the effect in the catalogue."""
+    """Name of the effect, as listed by `ltsim effects`."""
     parameter: str = ""
     """Name of the parameter of the effect whose sizes are listed."""
     unit: str = ""
     """Unit of the sizes."""
     smallest_size: OptionalFloat = None
-    """Smallest of the minimal detectable sizes of all variants of the effect."""
+    """Smallest of the minimal detectable sizes over all stations, targets and shape parameters with which the effect is
+    tested."""
     median_size: OptionalFloat = None
-    """Median of the minimal detectable sizes of all variants of the effect."""
+    """Median of the minimal detectable sizes over all stations, targets and shape parameters with which the effect is
+    tested."""
     largest_size: OptionalFloat = None
-    """Largest of the minimal detectable sizes of all variants of the effect."""
+    """Largest of the minimal detectable sizes over all stations, targets and shape parameters with which the effect is
+    tested."""
     largest_size_at: str = ""
-    """Variant with the largest minimal detectable size: its station, target or shape parameters."""
+    """Station, target or shape parameters (period, time constant, onset time) with which the effect has the largest
+    minimal detectable size."""
     plausible_size: Finite = 0.0
     """Size of the effect in an instrument or hall that is bad, but still plausible."""
     residual_fraction: OptionalFloat = None
-    """Fraction of the change of the readings by the effect that remains in the residuals, median over all variants."""
+    """Fraction of the change of the readings by the effect that remains in the residuals; median over all stations,
+    targets and shape parameters with which the effect is tested."""
 
     @classmethod
     def from_minimal_size(cls, row: MinimalDetectableSize) -> Self:
@@ -380,9 +386,9 @@ class ConfusablePair(Entry):
     """Pair of effects that a layout can hardly distinguish, because they change residuals almost equally."""
 
     effect: str
-    """Identifier of the first effect in the catalogue."""
+    """Name of the first effect, as listed by `ltsim effects`."""
     other_effect: str
-    """Identifier of the second effect in the catalogue, which a diagnosis may report instead of the first."""
+    """Name of the second effect (as listed by `ltsim effects`), which a diagnosis may report instead of the first."""
     explained_fraction: Finite
     """Fraction of the first effect's change of the residuals that the second effect explains; 1 if it explains
     everything."""

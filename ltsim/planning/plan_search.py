@@ -101,7 +101,7 @@ def make_plan(
 
 @dataclass
 class _PlanSearch:
-    """State of the searches for a plan: layouts for each number of stations and faces, and choice of the best one."""
+    """State of the searches for a plan: layouts for each number of stations and faces, choice of the best layout."""
 
     problem: PlanningProblem
     """Plan file and scenario."""
@@ -164,8 +164,8 @@ class _PlanSearch:
     def best_for_station_count(self) -> TradeoffPoint:
         """Layout with the smallest objective for the given number of stations, or within the hours of the budget.
 
-        With tolerances it is the layout that meets them in the shortest time; if none meets them, the layout with the
-        smallest ratio of error to tolerance.
+        With tolerances the result is the layout that meets them in the shortest time; if no layout meets them, the
+        layout with the smallest ratio of point error to tolerance.
         """
         scenario = self.problem.scenario
         count, work = self.plan_file.stations.count or len(scenario.stations), scenario.work
@@ -269,7 +269,10 @@ class _PlanSearch:
     def _layout_with_smallest_tolerance_ratio(
         self, layouts: list[tuple[float, int, PlannedSurvey]], tolerances: PointTolerances
     ) -> list[tuple[float, int, PlannedSurvey]]:
-        """List with one layout: that of several starts whose largest ratio of error to tolerance is smallest."""
+        """List with the one of the `layouts` whose largest ratio of point error to tolerance is smallest.
+
+        Each entry of `layouts` is the objective, the number of the initial layout, and the survey.
+        """
         if len(layouts) == 1:
             return layouts
         return [
@@ -296,7 +299,7 @@ class _PlanSearch:
         )
 
     def _no_layout_message(self, station_counts: range) -> str:
-        """Error message for a search that found no layout with these numbers of stations."""
+        """Error message for a search that found no layout with any of the numbers of stations `station_counts`."""
         hours = self.plan_file.budget.max_hours
         if self.is_stopped:
             return STOPPED_SEARCH_MESSAGE

@@ -40,13 +40,14 @@ class TradeoffPoint(ValueEquality):
     """Point of the trade-off curve between cost (duration) and quality: a measuring procedure with its best layout."""
 
     survey: PlannedSurvey
-    """Planned survey of the best layout by this procedure."""
+    """Planned survey with the best layout for this measuring procedure."""
     objective_value: float
     """Objective of the layout; smaller is better."""
     qualities: dict[str, float]
-    """Qualities with a weight in the goal, by name; smaller is better."""
+    """Values of the qualities (`instrument`, `targets`, `diagnosis`) with a weight in the goal, by name; smaller is
+    better."""
     is_efficient: bool = False
-    """True if every point of the curve with a shorter duration has a worse objective."""
+    """True if every point of the trade-off curve with a shorter duration has a worse objective."""
 
     @property
     def hours(self) -> float:
@@ -63,7 +64,8 @@ class LayoutEvaluation(ValueEquality):
     objective_value: float
     """Objective, smaller is better; infinite for a layout that breaks rules of the plan."""
     qualities: dict[str, float]
-    """Qualities with a weight in the goal, by name; smaller is better."""
+    """Values of the qualities (`instrument`, `targets`, `diagnosis`) with a weight in the goal, by name; smaller is
+    better."""
     expected_precision: ExpectedPrecision
     """Expected precision of the unknowns (poses, targets, instrument parameters) of the layout."""
     visibility: Visibility
@@ -87,7 +89,7 @@ class LayoutEvaluation(ValueEquality):
         return [f"{len(blocked)} sights are blocked: {first}{more}."] if blocked else []
 
     def marginal_sight_sentences(self, position_tolerance: float) -> list[str]:
-        """Sentence on marginal sights, which are free from a part of the permitted positions only; empty list if none.
+        """Sentence, in a list, on sights that are free from only a part of the permitted positions; or empty list.
 
         `position_tolerance` [m] is the largest distance of a station from its planned position.
         """
@@ -127,11 +129,10 @@ class PlannedNetwork(ValueEquality):
     scenario: Scenario
     """Scenario with hall, instrument, gauge and targets."""
     search_space: SearchSpace
-    """Search space for the chosen measuring procedure."""
+    """Search space (permitted positions and rules) for the chosen numbers of faces and rounds."""
     scenario_layout_evaluation: LayoutEvaluation | None
-    """Evaluation of the layout in the scenario, measured by the same procedure; None if it is undetermined, or if the
-    plan file describes a hall instead of a scenario.
-    """
+    """Evaluation of the layout in the scenario, measured with the same faces and rounds as the planned layout; None if
+    the scenario's layout is undetermined, or if the plan file describes a hall instead of a scenario."""
     layout: LayoutEvaluation
     """Evaluation of the planned layout."""
     reflector_changes: ReflectorChanges
@@ -145,7 +146,8 @@ class PlannedNetwork(ValueEquality):
     tradeoff_points: tuple[TradeoffPoint, ...] = ()
     """Points of the trade-off curve between cost and quality, in ascending order of duration."""
     start_objectives: tuple[float, ...] = ()
-    """Objective at the end of the search from each initial layout by the chosen procedure, in ascending order."""
+    """Value of the objective function at the end of the search from each initial layout, in ascending order, for the
+    chosen numbers of faces and rounds."""
     station_count_results: tuple[StationCountResult, ...] = ()
     """Result for each number of stations that was searched, if the plan asks for the fewest stations; otherwise empty.
     """
@@ -191,7 +193,7 @@ def evaluate_plan(plan_file: PlanFile, scenario: Scenario, survey: PlannedSurvey
 def objective_and_qualities(
     survey: PlannedSurvey, objective: LayoutObjective, construction: GeometricErrorModel
 ) -> tuple[float, dict[str, float]]:
-    """Objective of the layout of a survey, and values of the qualities that have a weight in the objective, by name.
+    """Objective of the layout of a survey, and value of each quality with a weight in the objective, by name.
 
     `construction` is the geometric error model whose parameters a calibration would estimate.
     """

@@ -35,8 +35,9 @@ class MeasurementProposalEntry(Entry):
     """Standard deviation of `most_improved_parameter` after the measurement divided by that before; below 1 is better.
     """
     chi2_differences: dict[str, Finite] = Field(default_factory=dict)
-    """Expected chi-square after the measurement with each further effect of `NextMeasurement.compared_effects`, minus
-    chi-square with the first effect, by name of the further effect."""
+    """Expected chi-square after the measurement if the model contains a further effect of
+    `NextMeasurement.compared_effects`, minus chi-square if it contains the first effect, by name of the further
+    effect."""
     separated_effects: tuple[str, ...] = ()
     """Further effects of `NextMeasurement.compared_effects` that the measurement would distinguish from the first one.
     """
@@ -46,7 +47,8 @@ class MeasurementProposalEntry(Entry):
     position_mm: Vector | None = None
     """Position of the tracker head [mm] at a new set-up, in the workshop frame; null for other measurements."""
     yaw_deg: OptionalFloat = None
-    """Direction of azimuth zero [deg] at a new set-up; null for other measurements."""
+    """Direction of azimuth zero [deg] at a new set-up, counter-clockwise from the x axis of the workshop frame; null
+    for other measurements."""
 
     @classmethod
     def from_proposal(cls, proposal: MeasurementProposal) -> Self:
@@ -108,12 +110,13 @@ class NextMeasurement(ResultFile):
     diagnosis: str = ""
     """Sentence with the result of the diagnosis that preceded the ranking; empty without a diagnosis."""
     compared_effects: tuple[str, ...] = ()
-    """Effects each of which alone explains the recording; the measurement should distinguish them."""
+    """Names of effects each of which alone explains the recording; the proposed measurements should distinguish
+    them."""
     compared_places: tuple[str, ...] = ()
     """Stations and targets at which the `compared_effects` act; empty if they act on the whole recording."""
     present_chi2_differences: dict[str, Finite] = Field(default_factory=dict)
-    """Chi-square of the present recording with each further effect of `compared_effects`, minus chi-square with the
-    first effect, by name of the further effect."""
+    """Chi-square of the present recording if the model contains a further effect of `compared_effects`, minus
+    chi-square if it contains the first effect, by name of the further effect."""
     advice: str = ""
     """Sentence with the action that the user should take first."""
     tests: tuple[CauseTest, ...] = ()
@@ -167,7 +170,11 @@ class NextMeasurement(ResultFile):
 
     @property
     def _other_causes(self) -> list[CauseTest]:
-        """Identified causes without those at the places of the compared effects, which are other names for them."""
+        """Identified causes at other stations and targets than the compared effects.
+
+        A cause at the station or target of a compared effect is left out, because it describes the same change of the
+        readings.
+        """
         places = [{*test.where.stations, *test.where.targets} for test in self.tests]
         is_compared = [bool(names) and names <= {*self.compared_places} for names in places]
         return [test for test, compared in zip(self.tests, is_compared, strict=True) if not compared]
@@ -181,7 +188,7 @@ class NextMeasurement(ResultFile):
         )
 
     def _chi2_differences_table(self) -> Table:
-        """Table of chi-square differences between each further effect and the first, now and after each proposal."""
+        """Table of chi-square with each further compared effect minus that with the first, now and after proposals."""
         rivals = self.compared_effects[1:]
         against = tuple(
             Column(f"chi2_against_{name}", "expected difference of chi-square", n_digits=3) for name in rivals

@@ -304,7 +304,7 @@ def _has_same_procedure(plan: PlannedNetwork, option: TradeoffPoint) -> bool:
 
 
 def fewest_stations_not_worse_than_scenario(plan: PlannedNetwork) -> TradeoffPoint | None:
-    """Point of the trade-off curve with the fewest stations and an objective at most that of the scenario's layout.
+    """Point of the trade-off curve with the fewest stations whose objective is at most that of the scenario's layout.
 
     Only points with the faces and rounds of the plan are compared. None if there is no such point.
     """
@@ -380,7 +380,7 @@ def _undetermined_sentences(plan: PlannedNetwork) -> list[str]:
 
 
 def _search_sentences(plan: PlannedNetwork) -> list[str]:
-    """Sentence on the agreement of the results of the independent searches, in a list."""
+    """Sentence, in a list, on how well the results of independent searches from several initial layouts agree."""
     n_searches = len(plan.start_objectives)
     if plan.is_stopped:
         return ["The search was stopped; this is the best layout that it had found."]

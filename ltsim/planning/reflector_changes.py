@@ -42,14 +42,14 @@ class ReflectorChangeEntry(Entry):
     position_mm: Vector | None = None
     """Coordinates of the new position [mm] in the hall frame; null for a removal."""
     target_rms_decrease_um: Finite
-    """Decrease by the change of the weighted root mean square point error [um] of all reflectors except the changed one
-    (inner constraints); negative for an increase."""
+    """Decrease [um], caused by the change, of the weighted root mean square point error of all reflectors except the
+    changed one (datum: inner constraints); negative for an increase."""
     objective_ratio: Finite
-    """Objective after the change divided by that of the plan; below 1 is better. If only targets have a weight in the
-    goal, it is the weighted point error of all other targets after the change divided by that before."""
+    """Objective after the change divided by the objective of the plan; below 1 is better. If only targets have a weight
+    in the goal, weighted point error of all other targets after the change divided by that before."""
     most_affected_parameter: str = ""
     """Instrument parameter (or target, if only targets have a weight in the goal) whose standard deviation the change
-    reduces most. For a removal, the one whose standard deviation rises most."""
+    reduces most. For a removal, the parameter or target whose standard deviation rises most."""
     most_affected_ratio: Finite = 1.0
     """Standard deviation of `most_affected_parameter` after the change, divided by that before; below 1 is better."""
 
@@ -183,7 +183,7 @@ class _ChangeEvaluator:
         return np.sqrt(np.diag(np.linalg.inv(information)))
 
     def _free_places(self, used_places: Ints) -> Ints:
-        """Indices of candidate positions without reflector that keep the spacing to the positions `used_places`."""
+        """Indices of candidate positions without reflector that are far enough from the positions `used_places`."""
         open_ = np.asarray(~self.is_too_near[:, used_places].any(axis=1))
         open_[self.present_place_indices] = False
         return np.flatnonzero(open_)
@@ -195,7 +195,10 @@ class _ChangeEvaluator:
         tried, helped = dict.fromkeys(CHANGE_KINDS, 0), dict.fromkeys(CHANGE_KINDS, 0)
 
         def record_change(kind: ChangeKind, removed_index: int | None, places: Ints) -> None:
-            """Storage of the results of a removal, of all additions, or of the best move of a reflector."""
+            """Storage of the results of a removal, of all additions, or of the best move of a reflector.
+
+            `places` are the indices of the candidate positions for an addition or a move.
+            """
             other_places = chosen if removed_index is None else np.delete(chosen, removed_index)
             start_matrix = (
                 self.present_normal_matrix

@@ -194,7 +194,7 @@ class ReflectorPlaces:
         objective: LayoutObjective,
         construction: GeometricErrorModel,
     ) -> ReflectorPlaces:
-        """Places that enough stations see and that keep the spacing to the fixed targets.
+        """Candidate positions (places) that enough stations see and that are far enough from the fixed targets.
 
         `is_fixed` (T,) flags those of the T targets of `survey` that do not move. `construction` is the geometric error
         model whose parameters a calibration would estimate.
@@ -283,7 +283,7 @@ def _is_usable_place(search_space: SearchSpace, survey: PlannedSurvey, places: F
 
 
 def _is_near_point(points: Floats, places: Floats, distance: float) -> Bools:
-    """Flags (P,): True for each of P `places` (P, 3) [m] within `distance` [m] of any of k `points` (k, 3) [m]."""
+    """Flags (P,): True for each of P `places` (P, 3) [m] within `distance` [m] of a point of `points` (k, 3) [m]."""
     gap = np.linalg.norm(places[:, None] - points[None], axis=2)
     return np.asarray((gap < distance).any(axis=1))
 

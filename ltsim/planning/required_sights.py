@@ -60,7 +60,7 @@ def with_feasible_min_sights(file: PlanFile, search_space: SearchSpace) -> PlanF
         return file
 
     def layout_error(min_sights_per_target: int) -> InputError | None:
-        """Error of the search for an initial layout with this number of stations per target; None if it succeeds."""
+        """Error of the search for an initial layout with this number of stations per target; None if there is one."""
         searcher = LayoutSearcher(
             search_space.replace(min_sights_per_target=min_sights_per_target),
             grid_step=step,
@@ -100,7 +100,9 @@ def with_feasible_min_sights(file: PlanFile, search_space: SearchSpace) -> PlanF
 
 
 def _smallest_sufficient_count(search_space: SearchSpace, placement: StationPlacement) -> int:
-    """Smallest larger number of stations that gives every target enough sights, from the positions of `placement`.
+    """Smallest number of stations, larger than the present one, with which every target has enough sights.
+
+    The stations are at positions of `placement`.
 
     At most `MAX_PROPOSED_ADDITIONAL_STATIONS` more stations than in `search_space` are tried; 0 if they do not suffice.
     """

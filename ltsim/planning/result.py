@@ -59,11 +59,11 @@ class Plan(ResultFile, PlannedLayoutEntry):
     """Layout of the scenario with its expected precision, for comparison."""
     fewest_stations: TradeoffEntry | None = None
     """Point of the trade-off curve with the fewest stations whose layout is as good as that of the scenario; null if
-    none is."""
+    there is no such point."""
     tradeoff_points: tuple[TradeoffEntry, ...] = ()
     """Points of the trade-off curve between cost and quality, in ascending order of duration."""
     start_objectives: tuple[OptionalFloat, ...] = ()
-    """Objective at the end of each independent search, in ascending order; smaller is better."""
+    """Value of the objective function at the end of each independent search, in ascending order; smaller is better."""
     reflector_changes: tuple[ReflectorChangeEntry, ...] = ()
     """Useful moves of a single reflector and useful additional reflectors, the best first, then removals."""
     reflector_changes_sentence: str = ""
@@ -82,7 +82,7 @@ class Plan(ResultFile, PlannedLayoutEntry):
     seed: int | None = None
     """Seed of the random draws of the search."""
     detectable_sizes: tuple[DetectableSize, ...] = ()
-    """Minimal detectable size of each effect of the catalogue in this layout."""
+    """Minimal detectable size, in this layout, of each effect that `ltsim effects` lists."""
     confusable_effects: tuple[ConfusablePair, ...] = ()
     """Pairs of effects that measurements in this layout hardly distinguish."""
     undetectable_effects: tuple[str, ...] = ()
@@ -262,7 +262,7 @@ def scenario_of_plan(plan: PlannedNetwork) -> Scenario:
 def scenario_with_layout(scenario: Scenario, survey: PlannedSurvey, title: str = "") -> Scenario:
     """Scenario with the stations, reflectors and measuring procedure of a planned survey, and with a table `[air]`.
 
-    The title is `title`, or that of the scenario if it is empty.
+    The new scenario has the title `title`; if `title` is empty, it keeps the title of `scenario`.
     """
     levelled = {name for name, station in scenario.stations.items() if station.levelled}
     stations = {

@@ -27,7 +27,8 @@ SETUPS_PER_BATCH = 64
 MAX_LAYOUT_SWEEPS = 12
 """Largest number of sweeps, in each of which every station may be exchanged once."""
 MAX_RANDOM_LAYOUTS = 12
-"""Largest number of random layouts that are drawn for a start until one determines all poses and targets."""
+"""Largest number of random layouts that are drawn, for the initial layout of a search, until one of them determines all
+poses and targets."""
 REMAINING_PROGRESS_FACTOR = 0.985
 """Factor by which each step of a search reduces the unfinished part of the progress bar; the number of steps is
 unknown."""
@@ -42,7 +43,7 @@ class StationLayout:
     positions: Floats
     """Positions (S, 3) [m] of the S stations."""
     yaws: Floats
-    """Yaw (S,) [rad] of each of the S stations."""
+    """Yaw (direction of azimuth zero, counter-clockwise from x) of each of the S stations, (S,) [rad]."""
     objective_value: float
     """Objective, smaller is better; infinite for a layout that breaks a rule."""
 
@@ -97,7 +98,8 @@ class LayoutSearcher:
     def normal_blocks_of_grid(self, station_index: int) -> NormalBlocks:
         """Contributions of all set-ups of the grid to the normal equations, as alternatives for one station.
 
-        They are computed once. They depend on the station only if the objective has effects, which may depend on time.
+        The contributions are computed once for all stations, or once per station if the objective contains effects,
+        because effects may depend on time.
         """
         key = station_index if self.objective.effects else 0
         if key not in self._grid_tables:

@@ -46,7 +46,7 @@ MAX_TILT_COSINE_DEFICIT = 1e-3
 RANGE_ONLY_OBSERVABLES = ("distance",)
 """Names of the observables of an instrument that measures distances without angles."""
 MIN_STATIONS_FOR_RANGES_ONLY = 3
-"""Smallest number of stations that determine a reflector if they measure ranges without angles."""
+"""Smallest number of stations that determine the position of a reflector if they measure ranges without angles."""
 ZERO_PLACEMENT_SCATTER = PlacingSigmas(station_mm=0.0, yaw_deg=0.0, tilt_deg=0.0, target_mm=0.0, gauge_mm=0.0)
 """Standard deviations of the placing of stations, targets and gauge, all zero, so that they stand exactly as planned.
 """
@@ -176,7 +176,7 @@ def plan_without_search(file: PlanFile, scenario: Scenario) -> tuple[PlanFile, S
 def candidate_procedures(plan_file: PlanFile, scenario: Scenario) -> tuple[list[int], list[int]]:
     """Candidate numbers of faces, and candidate numbers of rounds, of the measuring procedure.
 
-    They are the numbers of the scenario if the plan does not choose the procedure.
+    If the plan does not choose the procedure, each list contains only the number of the scenario.
     """
     if not plan_file.chooses_measuring_procedure:
         return [scenario.work.faces], [scenario.work.repeats]
@@ -185,7 +185,7 @@ def candidate_procedures(plan_file: PlanFile, scenario: Scenario) -> tuple[list[
 
 
 def survey_with_station_count(survey: PlannedSurvey, n_stations: int) -> PlannedSurvey:
-    """Survey with the first `n_stations` of its stations; missing ones are added at provisional positions."""
+    """Survey with the first `n_stations` stations of `survey`; missing stations are added at provisional positions."""
     have = len(survey.station_positions)
     names = [*survey.station_names]
     free = (f"S{i}" for i in range(1, have + n_stations + 1) if f"S{i}" not in names)

@@ -35,7 +35,8 @@ MIN_VISIBLE_TARGETS_PER_STATION = 3
 MAX_COINCIDENCE_DISTANCE = 1e-3
 """Distance [m] below which a station and a target count as being at the same point, which a plan does not permit."""
 STATION_SPACING_TOLERANCE = 1e-9
-"""Amount [m] by which the distance of two stations may fall below the permitted one because of rounding."""
+"""Amount [m] by which the distance of two stations may fall below the smallest permitted distance, because of
+rounding."""
 MAX_RATIO_AT_CLEARANCE = 1.05
 """Ratio of the distance of a station from a body to the clearance, below which the clearance limits the layout."""
 MAX_NEST_AIMING_STEPS = 60
@@ -134,7 +135,7 @@ class SearchSpace(ValueEquality):
     def is_allowed(self, position: Floats, needs_clearance: Bools | bool = True) -> Bools:
         """Flags (N,): True for each of N positions (N, 3) [m] of tracker heads where a tripod may stand.
 
-        `needs_clearance` (N,) is False for a station that exists, so that its stand has room beside bodies.
+        `needs_clearance` (N,) is False for a position at which a station already stands, so that its stand fits.
         """
         is_allowed = is_allowed_position(self.allowed_areas, self.forbidden_areas, self.obstacles, position)
         tested = np.flatnonzero(is_allowed & needs_clearance)
@@ -150,7 +151,7 @@ class SearchSpace(ValueEquality):
         return self.is_allowed(survey.station_positions, self._needs_clearance(survey.station_names))
 
     def _needs_clearance(self, station_names: Sequence[str]) -> Bools:
-        """Flags (S,): True for each of S stations that is not fixed."""
+        """Flags (S,): True for each of S stations that is not fixed and must keep the clearance from bodies."""
         fixed_names = [self.survey.station_names[s] for s in self.fixed_station_indices]
         return np.array([name not in fixed_names for name in station_names], dtype=bool)
 
@@ -331,7 +332,7 @@ class SearchSpace(ValueEquality):
     def candidate_placement(self, step: float, n_heights: int) -> StationPlacement:
         """Candidate positions on a grid from which at least `MIN_VISIBLE_TARGETS_PER_STATION` targets are visible.
 
-        They are returned together with the fixed stations. `step` [m] is the horizontal step, `n_heights` the number of
+        The result also contains the fixed stations. `step` [m] is the horizontal step, `n_heights` the number of
         heights. Raises InputError if no position sees enough targets.
         """
         places, fixed = (

@@ -29,10 +29,10 @@ def with_station_poses_on_site(
 ) -> Recording:
     """Recording whose set-up has the adjusted positions and yaws of the stations, in the axes of a site.
 
-    `adjustment` is that of the network, with the identified causes of its misfit in the model. The axes follow from the
-    targets that have names of points of the plan. With fewer than `MIN_POINTS_FOR_POSE` such targets the nominal
-    positions of the stations must be in these axes, and the recording is returned unchanged. `search_space` is that of
-    the plan, `site_name` the name of the plan in errors.
+    `adjustment` is the network adjustment whose model contains the identified causes of a misfit. The axes are
+    determined by the targets that have names of points of the plan. With fewer than `MIN_POINTS_FOR_POSE` such targets
+    the nominal positions of the stations must be in these axes, and the recording is returned unchanged. `search_space`
+    is that of the plan, `site_name` the name of the plan in errors.
 
     Raises
     ------
@@ -88,8 +88,8 @@ def _site_transformation_from_points(
     if np.median(misfit) > MAX_MEDIAN_POINT_MISFIT:
         worst = int(np.argmax(misfit))
         raise InputError(
-            f"{site_name}: {len(names)} targets of the recording have names of its points, but do not fit them: "
-            f"{names[worst]} is {misfit[worst]:.2f} m off; name the plan of this hall, or rename its points"
+            f"{site_name}: {len(names)} targets of the recording have names of points of this plan, but other "
+            f"positions: {names[worst]} is {misfit[worst]:.2f} m off; give the plan of this hall, or rename the points"
         )
     return plan
 

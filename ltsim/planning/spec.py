@@ -47,7 +47,7 @@ class StationSettings(TomlSection):
     """Rules for the stations: number, fixed stations, spacing, number of stations that must see each target."""
 
     count: StationCount | None = None
-    """Number of stations; default that of the scenario."""
+    """Number of stations; default the number in the scenario."""
     max_count: StationCount = 8
     """Largest number of stations in the search for the fewest stations that meet the tolerances, if `count` is not
     given."""
@@ -64,8 +64,8 @@ class StationSettings(TomlSection):
     whose distance is `floor.margin_mm`.
     """
     position_tolerance_mm: NonNegative = 50.0
-    """Largest distance [mm] of an instrument from its planned position at which every sight must still be free. A sight
-    that is not free everywhere within it is marginal, and the plan does not use it."""
+    """Largest distance [mm] of an instrument from its planned position at which every sight must still be free. The
+    plan does not use a sight that is free only from a part of these positions."""
     min_stations_per_target: Literal["all"] | Annotated[int, Field(ge=1, le=40)] = "all"
     """Smallest number of stations that must see each reflector; default all stations, or as many as a layout permits.
     """
@@ -127,14 +127,15 @@ class BudgetSettings(TomlSection):
     """Limit of the duration of the measurement, and candidate measuring procedures."""
 
     faces: Annotated[DistinctValues[Literal[1, 2]], Field(min_length=1)] | None = None
-    """Candidate numbers of faces, used with `max_hours` or tolerances; default 1 and 2."""
+    """Candidate numbers of faces, from which the search selects if `max_hours` or tolerances are given; default 1 and
+    2."""
     repeats: Annotated[DistinctValues[Annotated[int, Field(ge=1, le=20)]], Field(min_length=1)] | None = None
-    """Candidate numbers of rounds (pointings to each target in each face), used with `max_hours` or tolerances; default
-    1, 2 and the number of the scenario."""
+    """Candidate numbers of rounds (pointings to each target in each face), from which the search selects if `max_hours`
+    or tolerances are given; default 1, 2 and the number in the scenario."""
     seconds_per_pointing: Positive | None = None
-    """Time [s] from one pointing to the next; default that of the scenario."""
+    """Time [s] from one pointing to the next; default the time in the scenario."""
     minutes_per_move: NonNegative | None = None
-    """Time [min] to set up the instrument at each station, the first included; default that of the scenario."""
+    """Time [min] to set up the instrument at each station, the first included; default the time in the scenario."""
     max_hours: Positive | None = None
     """Longest duration of the whole measurement [h]. Without it and without tolerances, the measuring procedure is that
     of the scenario."""
@@ -199,7 +200,7 @@ class SearchSettings(TomlSection):
     starts: Annotated[int, Field(ge=1, le=1000)] = 4
     """Number of independent searches for the planned layout, from different initial layouts."""
     tradeoff_starts: Annotated[int, Field(ge=1, le=1000)] = 1
-    """Number of independent searches for each other point of the trade-off curve."""
+    """Number of independent searches for each point of the trade-off curve except the planned layout."""
     grid_step_mm: Positive | None = None
     """Step [mm] of the grid of candidate positions of stations on the floor; by default the grid has about 250
     positions, at least 500 mm apart. At the end of the search the stations are moved off the grid."""
@@ -224,14 +225,15 @@ class PlanFile(TomlSection):
     points: str | tuple[PlanPoint, ...] = ()
     """Points to measure: the name of a file with a list of coordinates in the same folder, or tables `[[points]]`."""
     workshop: Workshop | None = None
-    """Hall of the plan, in place of a scenario, with the keys of a scenario file; default height of heads 1400 to 1800
-    mm."""
+    """Hall of the plan, in place of a scenario, with the keys of the table `[workshop]` of a scenario file; the default
+    height of tracker heads is then 1400 to 1800 mm."""
     instrument: ScenarioInstrument | None = None
-    """Tracker in the hall that `workshop` describes, with the keys of a scenario file."""
+    """Tracker in the hall that `workshop` describes, with the keys of the table `[instrument]` of a scenario file."""
     smr: Smr | None = None
-    """Reflectors, with the keys of a scenario file."""
+    """Orientation and range error of the reflectors, with the keys of the table `[smr]` of a scenario file."""
     work: MeasurementProcedure | None = None
-    """Order and timing of the measurement, with the keys of a scenario file; the default order is as listed."""
+    """Order and timing of the measurement, with the keys of the table `[work]` of a scenario file; default order as in
+    the list of points."""
     air: AirUncertainty | None = None
     """Uncertainty of the air, which matters for long ranges and is included in all results; default that of the
     scenario."""
@@ -256,7 +258,7 @@ class PlanFile(TomlSection):
 
     @property
     def gives_min_stations_per_target(self) -> bool:
-        """True if the plan file sets the number of stations that must see each reflector, and no default applies."""
+        """True if the plan file sets how many stations must see each reflector; False if the default applies."""
         return "min_stations_per_target" in self.stations.model_fields_set
 
     @property

@@ -25,7 +25,7 @@ class StationPlacement:
     """Candidate positions of stations, together with fixed stations, and choice of positions for a layout."""
 
     candidate_positions: Floats
-    """Coordinates (N, 3) [m] of N candidate positions; their indices denote them elsewhere."""
+    """Coordinates (N, 3) [m] of the N candidate positions."""
     is_visible: Bools
     """Flags (N, T): True where one of T targets is visible from one of N candidate positions."""
     min_spacing: float
@@ -54,9 +54,9 @@ class StationPlacement:
         return self._optimal_places(n_stations, wanted_sights, random_generator) or place_indices
 
     def missing_sights(self, place_indices: list[int], wanted_sights: int) -> Ints:
-        """Number (T,) of sights that each of T targets lacks to have `wanted_sights`, for stations at these positions.
+        """Number (T,) of sights that each of T targets lacks to have `wanted_sights`.
 
-        `place_indices` are indices of candidate positions; the sights of fixed stations are counted.
+        Stations are at the candidate positions with the indices `place_indices`, in addition to the fixed stations.
         """
         return np.asarray(
             np.maximum(wanted_sights - self.n_fixed_sights - self.is_visible[place_indices].sum(axis=0), 0)
@@ -65,7 +65,7 @@ class StationPlacement:
     def _best_place(
         self, used_places: list[int], wanted_sights: int, random_generator: np.random.Generator | None
     ) -> int:
-        """Index of the candidate position that sees most targets with too few sights; -1 if none keeps the spacing.
+        """Index of the candidate position that sees most targets with too few sights; -1 if all are too near.
 
         `used_places` are the indices of the positions of earlier stations. Sights beyond `wanted_sights` have a small
         weight. With `random_generator` only a few random positions are compared.
@@ -95,7 +95,7 @@ class StationPlacement:
     def _optimal_places(
         self, n_stations: int, wanted_sights: int, random_generator: np.random.Generator | None
     ) -> list[int]:
-        """Indices of the positions with the fewest missing sights; empty if no combination keeps the spacing.
+        """Indices of the positions with the fewest missing sights; empty if all are too near each other.
 
         The positions are the solution of a mixed-integer linear program; random costs make it different in each draw.
         """

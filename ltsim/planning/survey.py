@@ -33,7 +33,7 @@ class PlannedSurvey:
     station_positions: Floats
     """Position (S, 3) [m] of the centre of the instrument at each of S stations."""
     station_yaws: Floats
-    """Yaw (S,) [rad] of the instrument at each of S stations."""
+    """Yaw (direction of azimuth zero, counter-clockwise from x) at each of S stations, (S,) [rad]."""
     target_points: Floats
     """Coordinates (T, 3) [m] of the T targets."""
     is_visible: Bools

@@ -88,8 +88,8 @@ class PointTolerances:
 def point_weights(file: PlanFile) -> dict[str, float]:
     """Weight of the squared error of each point in the objective, by name.
 
-    It is the `weight` of the point times the squared ratio of the smallest tolerance to that of the point. Without
-    tolerances it is the `weight`, and only points whose weight is not 1 are returned.
+    The result is the `weight` of the point times the squared ratio of the smallest tolerance to that of the point.
+    Without tolerances the result is the `weight`, and only points whose weight is not 1 are returned.
     """
     demands = PointTolerances.from_plan_file(file)
     if not demands:
@@ -122,7 +122,7 @@ def error_radius(covariance: Floats, confidence_level: float) -> Floats:
 class ToleranceCheck:
     """Check of the point errors of a layout against their tolerances.
 
-    The layout is complete, or lacks a station or a sight.
+    The layout is complete, or lacks a station or a sight (the line from a station to a point that it measures).
     """
 
     lost_station_or_sight: str
@@ -288,7 +288,8 @@ def checks_after_required_losses(
 ) -> list[ToleranceCheck]:
     """Checks of the tolerances without each station, and, if the plan requires it, without each sight.
 
-    The plan requires it if `tolerances.loss_to_withstand` is "sight".
+    The loss of a sight (line from a station to a measured point) is required if `tolerances.loss_to_withstand` is
+    "sight".
     """
     kinds = ("station", "sight") if tolerances.loss_to_withstand == "sight" else ("station",)
     return [loss for kind in kinds for loss in checks_after_losses_of_kind(survey, tolerances, construction, kind)]
@@ -300,7 +301,7 @@ def feasibility_and_tolerance_ratio(
     """Flag that is True if a survey meets its tolerances, and largest ratio of point error to tolerance.
 
     If tolerances must still be met after a loss, flag and ratio refer to the worst loss. If the complete survey does
-    not meet them, they refer to the complete survey.
+    not meet the tolerances, flag and ratio refer to the complete survey.
     """
     verdict = check_tolerances(survey, tolerances, construction)
     if not verdict.meets_all_tolerances or tolerances.loss_to_withstand == "no":
@@ -328,7 +329,10 @@ def plan_verdict(
     loss_checks: Sequence[ToleranceCheck],
     broken_rules: Sequence[BrokenRule] = (),
 ) -> PlanVerdict:
-    """Verdict on a layout from its broken rules, the check of the complete layout, and the checks after losses."""
+    """Verdict on a layout from its broken rules, and from checks of its tolerances, complete and after each loss.
+
+    A loss is that of a station, or of a sight from a station to a point.
+    """
     asked = [
         loss for loss in loss_checks if tolerances.loss_to_withstand == ("sight" if loss.is_sight_loss else "station")
     ]
@@ -363,7 +367,7 @@ def plan_verdict(
 
 
 def loss_sentences(loss_checks: Sequence[ToleranceCheck]) -> list[str]:
-    """Sentences on the checks after losses: one for each lost station, and one for all lost sights together."""
+    """Sentences on the tolerances after losses: one for each lost station, one for the loss of any single sight."""
     texts = [
         f"Without {loss.lost_station_or_sight}: {loss.violations_clause}."
         for loss in loss_checks

@@ -66,7 +66,7 @@ def plan(
     Parameters
     ----------
     source : str or Path
-        Plan file, scenario file, name of a built-in one, or folder of a plan.
+        Plan file, scenario file, name of a built-in plan or scenario, or folder of a plan.
     starts : int, optional
         Number of independent searches; default from the plan file.
     seed : int, optional
@@ -117,6 +117,7 @@ def next_measurement(
     Parameters
     ----------
     recording : Recording, str or Path
+        Measured or simulated recording.
     between : sequence of str
         Names of two or more effects that explain the recording. Measurements are ranked by the number of effects that
         they distinguish from the first effect, then by effort and time, then by evidence. Without names they are ranked
@@ -125,10 +126,10 @@ def next_measurement(
         Effects that the model of the recording already contains, in addition to those of `between`. An effect given by
         name acts on the stations or targets where it fits the residuals best.
     site : str or Path, optional
-        Plan file, scenario or folder of a plan. New stations are then proposed only where its floor and obstacles
-        permit a tripod, and only for visible targets. The network, adjusted with the identified causes in its model,
-        is transformed to the axes of this plan by the targets that have names of its points. If there are fewer than
-        three such targets, the positions of the stations in the set-up are used.
+        Plan file, scenario or folder of a plan. New stations are then proposed only where the floor and the obstacles
+        of this plan permit a tripod, and only for visible targets. The network, adjusted with the identified causes in
+        its model, is transformed to the axes of this plan by the targets that have names of points of the plan. If
+        there are fewer than three such targets, the positions of the stations in `setup.toml` are used.
     minutes_per_move : float
         Time [min] to move the tripod to another position.
     progress : callable
@@ -202,7 +203,7 @@ class StationAlternative:
     """
 
     position_text: str
-    """Description of the new position of the station, or `without NAME`."""
+    """Description of the new position of the station, or `without NAME` if the station NAME is left out."""
     survey: PlannedSurvey
     """Planned survey with the alternative layout."""
     verdict: str

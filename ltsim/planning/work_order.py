@@ -23,8 +23,9 @@ MAX_TAPE_DISTANCE = 15.0
 MAX_CONSIDERED_TAPE_MARKS = 16
 """Largest number of marks (end points of tape distances) among which the three marks of a station are selected."""
 MIN_STRENGTH_GAIN_OF_STRAIGHT_DISTANCE = 0.1
-"""Smallest increase of `intersection_strength` at which a straight distance to a reflector replaces a distance along
-the floor."""
+"""Smallest increase of the strength of the intersection of tape distances (`intersection_strength`: their smallest
+change, in metres, if the tripod moves by 1 m) at which a straight distance to a reflector replaces a distance along the
+floor."""
 TAPE_RESOLUTION = 0.01
 """Resolution [m] with which a distance is read from a tape."""
 MAX_TAPE_POSITION_ERROR = 0.03
@@ -38,8 +39,8 @@ MIN_TAPE_DISTANCE = 0.3
 TAPE_CLEARANCE_HEIGHT = 0.1
 """Height [m] above the floor at which no obstacle may cross the tape."""
 MIN_STRENGTH_GAIN_PER_METRE = 0.03
-"""Smallest increase of `intersection_strength` for which three tape distances are preferred although their longest is
-one metre longer."""
+"""Smallest increase of the strength of the intersection of three tape distances (`intersection_strength`: their
+smallest change, in metres, if the tripod moves by 1 m) that justifies a longest distance longer by one metre."""
 MAX_REPEAT_DIFFERENCE_SIGMAS = 3.0
 """Difference between two measurements of a point, in standard deviations, above which the tripod or the point has
 moved."""
@@ -174,12 +175,12 @@ def _candidate_tape_distances(plan: PlannedNetwork, place: Floats, is_visible: B
 def _best_tape_distances(marks: Sequence[TapeDistance], place: Floats) -> tuple[TapeDistance, ...]:
     """Three short distances with a strong intersection that determine the position `place` (3,) [m] uniquely.
 
-    If no three distances do, the result is the three with the strongest intersection, or all if there are fewer than
-    three.
+    If no three distances determine it, the result is the three with the strongest intersection, or all if there are
+    fewer than three.
     """
 
     def preference(candidate_distances: tuple[TapeDistance, ...]) -> tuple[bool, bool, float]:
-        """Sort key of three distances: larger for distances that are preferred."""
+        """Sort key of three tape distances: larger for distances that are preferred."""
         strength, good = (
             intersection_strength(candidate_distances, place),
             not tape_deficiency_sentence(candidate_distances, place),

@@ -24,7 +24,10 @@ class AirUncertainty(TomlSection):
     air."""
 
     def is_relevant(self, max_range: float) -> bool:
-        """True if the longest line of sight of a network, `max_range` [m], exceeds `negligible_up_to_mm`."""
+        """True if the adjustment must model the uncertainty of the air.
+
+        This is so if the longest line of sight of a network, `max_range` [m], exceeds `negligible_up_to_mm`.
+        """
         return max_range > self.negligible_up_to_mm * MILLIMETRE
 
 

@@ -20,17 +20,17 @@ class CentringUncertainty(TomlSection):
     """
 
     sigma_mm: Positive
-    """Standard deviation [mm] of the displacement along each axis."""
+    """Standard deviation [mm] of the random displacement of the reflector along each coordinate axis."""
     occupation: OccupationGrouping = "station"
     """Rule that assigns pointings to occupations, in which the reflector is not moved. One occupation has all pointings
     from one `station`, all with one entry in the column `instrument_setup` or `target_setup`, or all of one `day`."""
     stations: tuple[str, ...] = ()
-    """Names of the stations from which these centring errors act; empty for all stations."""
+    """Names of the stations whose pointings have the centring errors of this table; empty for all stations."""
     targets: tuple[str, ...] = ()
-    """Names of the targets that have these centring errors; empty for all targets."""
+    """Names of the targets that have the centring errors of this table; empty for all targets."""
 
     def restricted_to(self, stations: Sequence[str], targets: Sequence[str]) -> CentringUncertainty | None:
-        """Copy for the given stations and targets (names) only; None if the centring errors act on none of them."""
+        """Copy of this table for given stations and targets (names) only; None if its errors act on none of them."""
         names_by_key = {
             key: tuple(name for name in declared_names if name in names)
             for key, declared_names, names in self._declared_names(stations, targets)

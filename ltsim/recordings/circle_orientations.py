@@ -104,8 +104,10 @@ def _is_circle_rotation_confirmed(
 ) -> bool:
     """True if targets measured after `row` confirm that the circle was rotated by `circle_rotation` [rad] at this row.
 
-    `first_row_of_same_target` and `rotations_from_first` are those of `_orientations_of_occupation`. `rotations` is the
-    rotation [rad] of each earlier orientation, `orientations` the number of the orientation in each earlier row.
+    `first_row_of_same_target` is, for each row of the occupation, the row of the first pointing to the same target.
+    `rotations_from_first` is, for each row, the direction minus the direction in that first row [rad], NaN in the first
+    row itself. `rotations` is the rotation [rad] of each orientation of the circle detected so far, `orientations` the
+    number of the orientation in each earlier row.
     """
     agreeing = {first_row_of_same_target[row]}
     for later in range(row + 1, min(row + MAX_ROWS_CONFIRMING_CIRCLE_ROTATION, len(first_row_of_same_target))):

@@ -46,9 +46,9 @@ MIN_DECISIVE_CONVENTION_RATIO = 10.0
 """Smallest ratio with which the data decide between two conventions (such as gon or degrees): of the misfits
 (second-best to best), or of the numbers of agreeing targets (best to second-best)."""
 MAX_RELATIVE_MIRROR_MISFIT = 1e-3
-"""Median distance of mirrored points from reference points, divided by the network's size, below which they agree."""
+"""Limit for agreement of mirrored points with reference points: median distance, divided by the size of the network."""
 MAX_ROWS_IN_NOTE = 3
-"""Largest number of rows that a note lists, and of reported warnings about mirror images."""
+"""Largest number of rows that one note lists; also the largest number of warnings about mirror images."""
 
 
 @dataclass(frozen=True)
@@ -100,9 +100,9 @@ class PolarReadings:
 
 
 def angle_convention(polar: PolarReadings, hints: Hints, file: object) -> tuple[AngleUnit, VerticalKind, list[str]]:
-    """Unit of the angles, kind of the vertical angles, and notes about how the data decided; `file` is named in errors.
+    """Unit of angles, kind of vertical angles (zenith angles or elevations), and notes about how the data decided.
 
-    Raises RecordError, which asks for a hint, if the data do not decide.
+    The user's `hints` have priority. Raises RecordError, which names `file` and asks for a hint, if nothing decides.
     """
     angles = POSSIBLE_ANGLE_UNITS if hints.angle is None else (hints.angle,)
     verticals = VERTICAL_ANGLE_KINDS if hints.vertical is None else (hints.vertical,)
@@ -128,7 +128,10 @@ def angle_convention(polar: PolarReadings, hints: Hints, file: object) -> tuple[
 
 
 def _no_convention_sentence(polar: PolarReadings, angles: Sequence[AngleUnit], hints: Hints) -> str:
-    """Sentence on readings that no convention permits: a mixture of vertical angles, or none of the units `angles`."""
+    """Sentence for an error, if the angles fit no convention.
+
+    It says that kinds of vertical angle are mixed, or that the angles fit none of the units `angles`.
+    """
     lowest, highest = (float(f(polar.vertical_angles, initial=0)) for f in (np.nanmin, np.nanmax))
     circle = FULL_CIRCLE_BY_UNIT[angles[0]]
     if len(angles) == 1 and hints.vertical is None and lowest < 0 and circle / 4 < highest <= circle:
@@ -169,7 +172,11 @@ def _repeated_pointing_row_pairs(polar: PolarReadings) -> tuple[Ints, Ints]:
 
 
 def _count_two_face_pairs(polar: PolarReadings, angle: AngleUnit, vertical_kind: VerticalKind) -> int:
-    """Number of pairs of rows whose azimuths and vertical angles agree with one target measured in both faces."""
+    """Number of pairs of rows that show one target in both faces, if angles have the unit `angle` and the given kind.
+
+    The azimuths of such a pair differ by half a circle. Its vertical angles have the sum of both faces: a full circle
+    for zenith angles, half a circle for elevations.
+    """
     first, other = _repeated_pointing_row_pairs(polar)
     circle = FULL_CIRCLE_BY_UNIT[angle]
     sum_of_faces = circle if vertical_kind == "zenith" else circle / 2
@@ -184,9 +191,9 @@ def _count_two_face_pairs(polar: PolarReadings, angle: AngleUnit, vertical_kind:
 def _convention_from_faces(
     polar: PolarReadings, candidates: list[AngleConvention]
 ) -> tuple[AngleConvention, str] | None:
-    """Convention among `candidates` with which most targets are measured in both faces, and this reason as text.
+    """Convention among `candidates` with which most targets are measured in both faces, and text of the reason.
 
-    None unless `MIN_DECISIVE_CONVENTION_RATIO` times as many such targets agree as with any other candidate.
+    None unless these targets are `MIN_DECISIVE_CONVENTION_RATIO` times as many as for any other candidate.
     """
     counts = [_count_two_face_pairs(polar, angle, vertical) for angle, vertical in candidates]
     best_index = int(np.argmax(counts))
@@ -198,9 +205,9 @@ def _convention_from_faces(
 def _convention_from_lengths(
     polar: PolarReadings, candidates: list[AngleConvention]
 ) -> tuple[AngleConvention, str] | None:
-    """Convention among `candidates` with which stations measure equal lengths between targets, and this reason as text.
+    """Convention among `candidates` with which stations measure equal lengths between targets, and text of the reason.
 
-    None if no candidate, or more than one, gives equal lengths.
+    The result is None if no candidate, or more than one, gives equal lengths.
     """
     misfits = [length_disagreement(polar.points(unit, kind), polar.station, polar.target) for unit, kind in candidates]
     if not np.all(np.isfinite(misfits)):
@@ -342,10 +349,10 @@ def vertical_sight_notes(recording: Recording) -> tuple[str, ...]:
 
 
 def mirror_image_warnings(recording: Recording) -> tuple[str, ...]:
-    """Warnings that readings fit the declared station positions, or another station, only as a mirror image.
+    """Warnings that readings fit declared positions of stations, or other readings, only as a mirror image.
 
-    No warning is given for points in one plane, for a floor plan that fits neither sense, and for more than the
-    permitted number of set-ups.
+    No warning is given for points in one plane, for declared positions that fit neither the readings nor their mirror
+    image, and for more than the permitted number of set-ups.
     """
     if len(recording.stations) > overridable_limit(MAX_NETWORK_SETUPS):
         return ()
@@ -381,7 +388,7 @@ def _mirrored_station_pairs(local_points: Floats, recording: Recording) -> list[
 
 
 def floor_plan_poses(setup: Setup, names: Sequence[str]) -> dict[int, StationPoseArrays]:
-    """Rough pose by index in `names` of each station with position and direction of azimuth zero in the floor plan."""
+    """Rough pose of each station, by its index in `names`, if the floor plan in `setup` gives position and yaw."""
     poses = {}
     for i, name in enumerate(names):
         station = setup.stations.get(name)

@@ -43,7 +43,9 @@ from ltsim.recordings.xml import XmlNode, band_matrix_entries, parse_xml
 AXIS_NAMES = "xyz"
 RESULT_TARGETS_FILE = "targets.csv"
 MIN_EIGENVALUE_PER_ROW = -1e-9
-"""Smallest permitted eigenvalue of a correlation matrix per row; rounding may make a zero eigenvalue negative."""
+"""Smallest permitted eigenvalue of a correlation matrix, divided by its number of rows; rounding may make a zero
+eigenvalue negative.
+"""
 MAX_COORDINATE_READ_AS_METRES = 500.0
 """Number below which the largest coordinate of a list without unit is read in metres; otherwise in millimetres."""
 MIN_NATIONAL_GRID_COORDINATE = 1e6
@@ -71,7 +73,7 @@ class PointList:
     """Covariance matrix (n, 3, 3) [m^2] of the coordinates of each of the n points; NaN if not given."""
     notes: tuple[str, ...] = ()
     additional_columns: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """Texts of the other columns by header, one text for each point."""
+    """Texts of all columns except names, coordinates and their precision, by column header; one text for each point."""
     line_numbers: tuple[int, ...] = ()
     """Line number in the file of each point."""
     n_contradictory_rows: int = 0
@@ -132,7 +134,7 @@ def _drop_trailing_field(row: SheetRow) -> Sequence[str]:
 
 
 def _headerless_columns(sheet: TableSheet) -> tuple[int, list[TableColumn]] | None:
-    """Columns of a list of points without header, preceded by 0, the number of header rows; None for other content."""
+    """Number of header rows, 0, and columns of a list of points without header; None for other content."""
     first_row = next((row for row in sheet.rows if not row.is_comment), None)
     if first_row is None or not all(map(cells.is_numeric, _drop_trailing_field(first_row)[1:])):
         return None
@@ -146,7 +148,7 @@ def _headerless_columns(sheet: TableSheet) -> tuple[int, list[TableColumn]] | No
 
 
 def _header_columns(sheet_rows: Sequence[SheetRow]) -> tuple[int, list[TableColumn]] | None:
-    """Number of rows before the first point, and columns with the roles from the header; None without such a header."""
+    """Number of rows before the first point, and columns with contents by the header; None if there is no header."""
     for place, row in enumerate(sheet_rows):
         if not count_recognised_titles(row.fields) or row.n_numeric_fields:
             continue
@@ -240,7 +242,11 @@ class _PointRowReader:
 
 
 def _point_covariances(numbers_by_column: Mapping[str, Floats], n_points: int) -> Floats:
-    """Covariances (n, 3, 3) [m^2] of n points, from columns (n,) by role: full matrices or standard deviations."""
+    """Covariances (n, 3, 3) [m^2] of n points, from columns (n,) of covariances or else of standard deviations.
+
+    `numbers_by_column` contains the columns by role, such as `sigma_x_mm`. The result is NaN for a point without
+    standard deviations.
+    """
     if "covariance 0" in numbers_by_column:
         full = np.stack([numbers_by_column[f"covariance {i}"] for i in range(9)], axis=1).reshape(n_points, 3, 3)
         return np.asarray((full + full.transpose(0, 2, 1)) / 2)

@@ -22,9 +22,10 @@ from ltsim.recordings.files import MAX_NUMBER_TEXT_LENGTH, SourceLocation, read_
 MAX_COVARIANCE_ASYMMETRY = 1e-6
 """Largest difference of entries ij and ji, relative to the largest variance, at which a covariance is accepted."""
 MATRIX_FIELD_SEPARATORS = ",;\t"
-"""Possible separators of the fields; the most frequent one in the first row is used."""
+"""Possible separators of the numbers in a row of the file; the most frequent one in the first row is used."""
 MAX_NUMBER_MAGNITUDE = 1e12
-"""Largest magnitude of a number that is read without a closer look."""
+"""Magnitude up to which all numbers of a row are converted together; a row with a larger one is checked cell by cell.
+"""
 _NUMBER_CHARACTERS_PATTERN = re.compile("[0-9.+eE -]*", re.ASCII)
 """Pattern of the characters of decimal numbers that blanks separate."""
 
@@ -44,7 +45,10 @@ def read_covariance_matrix(path: Path, coordinate_names: Sequence[str]) -> Float
     matrix = np.zeros((len(names), len(names)))
     for i, (name, row) in enumerate(zip_longest(names, rows)):
         if name is None or row is None or unescape_cell_text(row[1][0]) != name:
-            raise RecordError("lacks rows in the order of its columns", file=path)
+            raise RecordError(
+                "has other rows than columns, or another order; give a row per coordinate, in the order of the header",
+                file=path,
+            )
         line, fields = row
         if len(fields) != 1 + len(names):
             raise RecordError("has rows whose length differs from the header", file=path)

@@ -6,8 +6,9 @@ from ltsim.core.units import EARTH_RADIUS, MILLIMETRE
 from ltsim.recordings.recording import Recording
 
 MIN_CURVATURE_ANGLE_SIGMAS = 0.1
-"""Limit for modelling the earth's curvature: its angle over the longest line of sight, divided by the standard
-deviation of an elevation. A larger ratio is modelled."""
+"""Limit above which the adjustment models the curvature of the earth: angle between a level surface and the horizontal
+plane over the longest line of sight, divided by the standard deviation of an elevation.
+"""
 
 DEFAULT_REFRACTION_AND_SIGMA = 0.13, 0.1
 """Coefficient of refraction near the ground (radius of the earth divided by the radius of the ray) and its standard
@@ -48,6 +49,6 @@ def with_earth_curvature(recording: Recording) -> Recording:
             f"; the coefficient of refraction is estimated from {DEFAULT_REFRACTION_AND_SIGMA[0]:g} +- "
             f"{DEFAULT_REFRACTION_AND_SIGMA[1]:g}, which bends that sight by "
             f"{DEFAULT_REFRACTION_AND_SIGMA[0] * drop:.2g} +- {DEFAULT_REFRACTION_AND_SIGMA[1] * drop:.2g} mm "
-            "(refraction = [...] in setup.toml)"
+            "(for other values set refraction = [value, sigma] in setup.toml)"
         )
     return recording.replace(setup=setup.model_copy(update=setup_changes), notes=(*recording.notes, note))

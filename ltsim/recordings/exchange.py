@@ -29,19 +29,22 @@ from ltsim.recordings.tables.unnamed_targets import UnnamedTargetsError
 from ltsim.recordings.times import time_unit_questions
 
 RecordingSource = Recording | str | Path
-"""Recording, or path of a file or folder from which one is read."""
+"""Recording, or path of a file or folder from which a recording is read."""
 MAX_FORMAT_RECOGNITION_BYTES = 16_384
 """Number of bytes at the beginning of a file that are read to recognise its format."""
 MAX_NOTES_PER_FILE = 100
-"""Largest number of reader notes on one file; without it a file of unknown keywords could cause 200,000."""
+"""Largest number of notes of a reader on one file; without this limit a file of unknown keywords could cause 200,000
+notes.
+"""
 MIN_ROWS_SHOWING_MOVING_TARGET = 2
 """Smallest number of rows, with a name used before and different coordinates, that shows a moving target instead of a
 list of points. The number must also be at least the number of different names."""
 TRIAL_STATION_NAME = "S1"
 """Station name for a test whether a list of coordinates can be read as the positions that one station measured."""
 MAX_REPEATED_POINT_DISTANCE_M = 1e-3
-"""Distance [m] between rows with one name below which they are repeated measurements of one point; rows farther from
-each other contradict each other."""
+"""Distance [m] between rows with one name below which these rows are repeated measurements of one point; rows with a
+larger distance contradict each other.
+"""
 NATIVE_FORMAT_DESCRIPTION = "folder with observations.csv and setup.toml"
 POLAR_TEXT_FORMAT_DESCRIPTION = "plain text: station, target, azimuth, zenith or elevation, distance"
 POINT_LIST_FORMAT_DESCRIPTION = "names and coordinates, which are not a recording"
@@ -78,7 +81,11 @@ def _make_format(
     write: WriteFunction | None = None,
     has_signature: bool = False,
 ) -> FileFormat:
-    """Format whose module has the functions `recognises` and `read`."""
+    """File format that is implemented by the functions `recognises` and `read` of `module`.
+
+    `name` and `description` are for users; `suffixes` of file names and `has_signature` help to recognise the format.
+    `write` is None for a format that is only read.
+    """
     return FileFormat(name, description, suffixes, module.recognises, module.read, write, has_signature)
 
 

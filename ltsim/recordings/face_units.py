@@ -24,18 +24,24 @@ from ltsim.recordings.transcription_errors import (
 )
 
 MIN_TWO_FACE_PAIRS = 3
-"""Smallest number of targets of a station in both faces with which the unit of a face is tested: two may agree with a
-wrong unit by chance, as one gross error in each of them is then enough.
+"""Smallest number of targets, measured by a station in both faces, with which the unit of a face is tested. With two
+targets, one gross error in each would be enough to make a wrong unit fit.
 """
 MAX_RATIO_OF_CONVERTED_DISAGREEMENT = (
     MAX_RELATIVE_DISAGREEMENT_OF_CORRECT_LENGTHS / MIN_RELATIVE_DISAGREEMENT_OF_WRONG_LENGTHS
 )
-"""Largest ratio of the disagreements of both faces after and before a conversion that explains the difference."""
+"""Largest ratio at which a conversion explains that both faces disagree: disagreement after the conversion, divided by
+disagreement before it.
+"""
 FULL_TURN = 2.0 * np.pi
 DISAGREEMENT_ROUNDING = 1e-9
-"""Difference of relative disagreements below which they are equal: rounding errors of double precision are smaller."""
+"""Difference below which two relative disagreements of the faces count as equal; rounding errors of double precision
+are smaller.
+"""
 ReadingsWithoutError = tuple[WrongColumnConversion, int, Floats]
-"""Transcription error, its face, and the readings (n, 3) [m, rad, rad] without it."""
+"""Transcription error (such as a wrong unit), face (1 or 2) that has the error, and readings (n, 3) [m, rad, rad] of n
+pointings corrected for it.
+"""
 
 
 @dataclass(frozen=True)
@@ -48,9 +54,9 @@ class FaceUnitError:
     stations: tuple[str, ...]
     """Names of the stations."""
     pointing_indices: Ints
-    """Indices (k,) of the wrong pointings."""
+    """Indices (k,) of the k pointings with the wrong readings."""
     corrected_readings: Floats
-    """Readings (k, 3) [m, rad, rad] without the error."""
+    """Readings (k, 3) [m, rad, rad] of the k wrong pointings, corrected for the transcription error."""
 
     @property
     def observables(self) -> tuple[str, ...]:
@@ -134,7 +140,11 @@ def face_unit_warnings(recording: Recording) -> tuple[str, ...]:
 def _common_face_error(
     recording: Recording, face: int, group: list[tuple[int, Floats, WrongColumnConversion]]
 ) -> FaceUnitError:
-    """Error of one face that the stations of a group have in common."""
+    """Transcription error of one face that several stations have in common, with their corrected readings.
+
+    `group` has, for each station, its index, the corrected readings (n, 3) [m, rad, rad] of all n pointings, and the
+    error.
+    """
     rows = [_rows_of_face(recording, s, face) for s, _, _ in group]
     corrected = np.concatenate([readings[r] for r, (_, readings, _) in zip(rows, group, strict=True)])
     names = tuple(recording.stations[s] for s, _, _ in group)

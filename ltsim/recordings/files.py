@@ -106,8 +106,8 @@ def read_text(path: Path, *, replaces_undecodable: bool = False, max_bytes: int 
 def read_lines(path: Path, *, replaces_undecodable: bool = False, max_lines: int = MAX_TEXT_LINES) -> list[str]:
     """Lines of a text file without line breaks, which may be those of Unix, Windows or old Macintosh.
 
-    `replaces_undecodable` is as in `read_text`. Raises RecordError for more than `max_lines` lines, and for a line of
-    more than `MAX_LINE_CHARACTERS` characters.
+    With `replaces_undecodable`, a file that is neither UTF-8 nor UTF-16 is read as Windows-1252. Raises RecordError for
+    more than `max_lines` lines, and for a line of more than `MAX_LINE_CHARACTERS` characters.
     """
     text = with_unix_line_ends(read_text(path, replaces_undecodable=replaces_undecodable))
     if text.count("\n") > max_lines:
@@ -191,7 +191,10 @@ class SourceLocation:
         return name
 
     def checked_text(self, text: str, column: str | None = None) -> str:
-        """Unchanged `text`, checked to be a short line without control characters and markup; raises RecordError."""
+        """Unchanged `text`, checked to be one line of at most `MAX_CELL_TEXT_LENGTH` characters; raises RecordError.
+
+        Control characters and markup are refused.
+        """
         has_markup = "<" in text or ">" in text or not text.isprintable()
         if len(text) > MAX_CELL_TEXT_LENGTH or has_markup:
             reason = (

@@ -74,7 +74,7 @@ MIN_CORRELATION_EIGENVALUE = 1e-9
 """Smallest permitted eigenvalue of the correlation matrix of a declared covariance. Below this limit the covariance
 counts as not positive definite."""
 MIN_VECTOR_LENGTH = 1e-6
-"""Length below which a vector has no direction and is refused."""
+"""Length, in the unit of the vector, below which a vector has no direction and is refused."""
 Finite = Annotated[float, Field(ge=-1e11, le=1e11, allow_inf_nan=False)]
 """Finite number of at most 1e11 in magnitude."""
 NonNegative = Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
@@ -85,7 +85,7 @@ square."""
 Positive = Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False), AfterValidator(_require_min_positive)]
 """Number from `MIN_POSITIVE` to 1e9."""
 Elevation = Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)]
-"""Elevation from -90 to 90 deg."""
+"""Elevation [deg] above the horizontal plane, from -90 to 90."""
 Height = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
 """Height of at most 1e6 in magnitude, in the unit of its key."""
 Axes = Literal["xyz", "xy", "xz", "yz", "x", "y", "z"]

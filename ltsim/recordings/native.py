@@ -135,7 +135,7 @@ def _yield_and_free_lines(lines: list[str]) -> Iterator[str]:
 def parse_observations(table: TextTable, setup: Setup, folder: Path, *, is_growing: bool = False) -> Recording:
     """Recording from the texts of `observations.csv` and its set-up; `folder` is named in errors.
 
-    With `is_growing` reference values and centring errors are not checked.
+    With `is_growing`, for an unfinished file, reference values and centring errors are not checked.
     """
     file = folder / OBSERVATIONS_FILE
     header = list(map(unescape_cell_text, table[0]))
@@ -273,7 +273,10 @@ def _require_valid_gauge(recording: Recording, file: Path) -> None:
 
 
 def _require_declared_smrs(recording: Recording, folder: Path) -> None:
-    """Check, for SMRs with tables, that each pointing has an SMR and each nest a normal if needed; or RecordError."""
+    """Check that a declared SMR belongs to each pointing, and a normal to each nest that needs one; raises RecordError.
+
+    A nest needs a normal if its SMR has not the reference radius. Without tables of SMRs nothing is checked.
+    """
     excess_radii(recording, folder / SETUP_FILE)
     names = smr_names(recording)
     if recording.setup.reflectors and "" in names:
@@ -284,7 +287,7 @@ def _require_declared_smrs(recording: Recording, folder: Path) -> None:
 
 
 def _unused_settings_notes(recording: Recording) -> tuple[str, ...]:
-    """Notes on settings without effect, such as tables of unmeasured stations, and on replaced data-sheet values."""
+    """Notes on settings without effect (tables of unmeasured stations) and on replaced values of data sheets."""
     setup, notes = recording.setup, list[str]()
     stations, targets = frozenset(recording.stations), frozenset(recording.targets)
     marks = Counter(s.over for name, s in setup.stations.items() if s.over and name in stations)

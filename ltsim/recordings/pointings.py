@@ -223,7 +223,7 @@ def _have_equal_heights(observations: Sequence[SingleObservation]) -> bool:
 
 
 def _merged_pointing(row: dict[str, SingleObservation], file: str) -> Pointing:
-    """Pointing from at most one observation of each kind, given by kind."""
+    """Pointing that combines at most one distance, one azimuth and one elevation, given in `row` by kind."""
     sigmas = {SIGMA_COLUMNS[OBSERVABLES.index(kind)]: row[kind].sigma / _SIGMA_UNIT_BY_KIND[kind] for kind in row}
     heights = zip(HEIGHT_COLUMNS, zip(*(o.heights for o in row.values()), strict=True), strict=True)
     shared_columns = {
@@ -270,6 +270,6 @@ def separate_constant_heights(
 
 
 def _without_constant_height(covariates: dict[str, float], column: str, *, is_constant: bool) -> dict[str, float]:
-    """Covariates of a pointing without the height in `column` if it is constant; otherwise with it, 0 if missing."""
+    """Covariates of a pointing without a constant height in `column`; a varying height stays (0 if missing)."""
     other_covariates = {name: value for name, value in covariates.items() if name != column}
     return other_covariates if is_constant else {**other_covariates, column: covariates.get(column, 0.0)}

@@ -344,7 +344,7 @@ class Recording(Result):
 
     @property
     def _larger_limits_phrase(self) -> str:
-        """Advice to the user: the environment variable with which this recording is permitted."""
+        """Advice to the user: environment variable that raises the limits so that this recording is permitted."""
         return f"on a machine with more memory set the environment variable {POINTINGS_LIMIT_VARIABLE} to {len(self)}"
 
     def with_readings(self, readings: Floats) -> Recording:

@@ -151,8 +151,9 @@ def _mean_temperature_of_column(
 
 
 MAX_EXACT_MARK_SIGMA_RATIO = 0.1
-"""Ratio up to which a reference difference treats an unmeasured mark as exact: standard deviation of the mark's
-coordinates divided by that of the difference."""
+"""Ratio up to which a known vector between two marks treats an unmeasured mark as exact: standard deviation of the
+mark's coordinates, divided by that of the vector.
+"""
 
 
 def mark_indices(recording: Recording) -> dict[str, int]:
@@ -171,7 +172,7 @@ def mark_indices(recording: Recording) -> dict[str, int]:
 
 
 def check_reference_difference_ends(recording: Recording, file: object) -> None:
-    """Check that each end of each reference difference was measured, or has known coordinates that count as exact.
+    """Check that each end of each known vector was measured, or has coordinates that count as exact.
 
     Raises RecordError, which names `file`.
     """
@@ -189,7 +190,7 @@ def check_reference_difference_ends(recording: Recording, file: object) -> None:
 
 
 def _is_exact_mark(target: Target, difference: ReferenceDifference) -> bool:
-    """True if the known coordinates of a mark are at least ten times more precise than the difference."""
+    """True if known coordinates of a mark are at least ten times more precise than the known vector `difference`."""
     axes = ["xyz".index(axis) for axis in difference.known_axes]
     is_control = target.known_mm is not None and {*difference.known_axes} <= {*target.known_axes}
     return is_control and bool(
@@ -199,7 +200,7 @@ def _is_exact_mark(target: Target, difference: ReferenceDifference) -> bool:
 
 
 def _coordinate_sigmas(reference: Target | ReferenceDifference) -> Floats:
-    """Standard deviations (3,) [mm] of the known coordinates of a target, or of a reference difference."""
+    """Standard deviations (3,) [mm] of the known coordinates of a target, or of a known vector between two marks."""
     if reference.known_covariance_mm2 is None:
         return np.full(3, reference.known_sigma_mm)
     return np.sqrt(np.diag(symmetric_matrix(reference.known_covariance_mm2)))

@@ -67,8 +67,8 @@ def excess_radii_from_smr_names(
 def excess_radii(recording: Recording, file: object = "setup.toml") -> Floats | None:
     """Height (n,) [m] of the SMR centre above the seat of its nest in n pointings, minus the reference height.
 
-    The result is None if all differences are 0. `file` is named in errors. Raises RecordError as
-    `excess_radii_from_smr_names` does.
+    The result is None if all differences are 0. Raises RecordError, which names `file`, for an SMR without table, for
+    different radii without reference height, and for a nest without normal that needs one.
     """
     setup = recording.setup
     if not setup.reflectors:

@@ -96,7 +96,7 @@ def _stop_at_first_error(schema: Any) -> None:
 
 
 class Entry(DescribedModel):
-    """Base class of objects in a result file: values cannot be changed, unknown keys (later versions) are ignored."""
+    """Base class of objects in a result file: values cannot be changed, unknown keys of later versions are ignored."""
 
     model_config = ConfigDict(extra="ignore", frozen=True, populate_by_name=True)
 
@@ -163,7 +163,7 @@ class ResultFile(Entry, Result):
     recording: ResultSource | None = None
     """Recording, or list of coordinates, from which the result was computed."""
     files: dict[str, str] = Field(default_factory=dict)
-    """Digest (SHA-256) of each companion file, by file name."""
+    """Digest (SHA-256) of each companion file, such as a table that is written with the JSON file, by file name."""
 
     __repr__ = __str__ = Result.__repr__
     __hash__ = Result.__hash__
@@ -184,7 +184,7 @@ class ResultFile(Entry, Result):
         return stream.getvalue() + "\n"
 
     def is_unchanged_companion(self, folder: Path, name: str) -> bool:
-        """True if the companion file `name` in `folder` has the digest that this result contains for it.
+        """True if the companion file `name` (a table) in `folder` has the digest that this result contains for it.
 
         Raises RecordError if the file cannot be read.
         """
@@ -216,10 +216,10 @@ ResultFileType = TypeVar("ResultFileType", bound=ResultFile)
 
 
 def write_result(folder: Path, result: ResultFileType, companions: Mapping[str, str | bytes]) -> ResultFileType:
-    """Copy of `result` with the digests of its companion files, after writing its file and these files into `folder`.
+    """Copy of `result` with the digests of its companion files, after writing all its files into `folder`.
 
-    `companions` are the contents of the companion files by name. Raises RecordError if the folder is not writable; no
-    incomplete files remain.
+    `companions` are the contents of the companion files, such as tables, by file name. Raises RecordError if the folder
+    is not writable; no incomplete files remain.
     """
     digests = {name: _digest(t.encode() if isinstance(t, str) else t) for name, t in companions.items()}
     written = result.model_copy(update={"files": digests})
@@ -301,7 +301,7 @@ def read_json(file: Path, kind: str) -> dict[str, Any]:
 
 
 def companion_path(folder: Path, name: str, result: ResultFile) -> Path | None:
-    """Path of the companion file `name` of a result in `folder`; None if there is no such file.
+    """Path of the companion file `name` (such as a table) of a result in `folder`; None if there is no such file.
 
     Raises RecordError if the file belongs to another result or was changed.
     """

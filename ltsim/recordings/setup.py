@@ -52,7 +52,7 @@ class Noise(TomlSection):
     @model_validator(mode="after")
     def _check_range_noise(self) -> Noise:
         if max(self.distance_mm, self.distance_ppm) < MIN_SIGMA:
-            raise ValueError("it should not be 0 in both distance_mm and distance_ppm")
+            raise ValueError("distance_mm and distance_ppm should not both be 0")
         return self
 
 
@@ -76,14 +76,14 @@ class ElevationLimits(TomlSection):
     """Range of elevations that the instrument can measure."""
 
     elevation_min_deg: Elevation = -55.0
-    """Lowest elevation that the instrument can measure."""
+    """Lowest elevation above the horizontal plane that the instrument can measure."""
     elevation_max_deg: Elevation = 77.0
-    """Highest elevation that the instrument can measure."""
+    """Highest elevation above the horizontal plane that the instrument can measure."""
 
     @model_validator(mode="after")
     def _check_elevation_order(self) -> ElevationLimits:
         if self.elevation_min_deg >= self.elevation_max_deg:
-            raise ValueError("it should have elevation_min_deg below elevation_max_deg")
+            raise ValueError("elevation_min_deg should be below elevation_max_deg")
         return self
 
 
@@ -109,7 +109,7 @@ class Instrument(TomlSection):
 
 
 class Material(TomlSection):
-    """Material of reference lengths (gauge, scale bar); they share the error of its expansion coefficient."""
+    """Material of reference lengths (scale bars), which share the error of its expansion coefficient."""
 
     expansion_per_k: Finite = 0.0
     """Coefficient of thermal expansion of the material."""
@@ -122,10 +122,12 @@ class LengthMaterialAndTemperature(TomlSection):
 
     measured_at_c: Finite | SingleLine | None = None
     """Temperature of this length during use: a number, or the name of a column of the recording, whose mean over the
-    pointings to both ends is used. Default: temperature of the gauge."""
+    pointings to both ends is used. Default: `measured_at_c` of the table `[gauge]`.
+    """
     sigma_temperature_k: NonNegative | None = None
     """Standard deviation of the temperature of this length; lengths with the same column share this error. Default:
-    standard deviation of the temperature of the gauge."""
+    `sigma_temperature_k` of the table `[gauge]`.
+    """
     material: SingleLine | None = None
     """Name of a table `[gauge.materials.NAME]`; by default the expansion coefficient in `[gauge]` is used."""
     measured_in_place: bool = False
@@ -137,9 +139,9 @@ class GaugeDistance(LengthMaterialAndTemperature):
     """Reference length (known distance) between two targets."""
 
     from_: str = Field(alias="from")
-    """Target at the first end."""
+    """Name of the target at the first end of the length."""
     to: str
-    """Target at the second end."""
+    """Name of the target at the second end of the length."""
     length_mm: Positive
     """Length at the temperature `calibrated_at_c`, or as measured in the hall if `measured_in_place` is true."""
     sigma_mm: Sigma
@@ -156,7 +158,9 @@ class LengthGauge(TomlSection):
     expansion_per_k: Finite = 0.0
     """Coefficient of thermal expansion of all lengths without `material`."""
     sigma_expansion_per_k: NonNegative | None = None
-    """Standard deviation of this coefficient, an error that these lengths share; without it the coefficient is exact.
+    """Standard deviation of the expansion coefficient of all lengths without `material`, which share this error;
+    without it the coefficient is exact.
+
     """
     sigma_temperature_k: NonNegative | None = None
     """Standard deviation of the temperature of the gauge; without it the temperature is exact."""
@@ -164,7 +168,7 @@ class LengthGauge(TomlSection):
     """Standard deviation of a scale error that all lengths share. From 1000 ppm on, the adjustment uses only the ratios
     of lengths."""
     materials: dict[str, Material] | None = None
-    """Other materials by name, tables `[gauge.materials.NAME]`."""
+    """Materials of the reference lengths by name, tables `[gauge.materials.NAME]`."""
     distance: tuple[GaugeDistance, ...] = ()
     """Reference lengths, one table `[[gauge.distance]]` each."""
 
@@ -178,11 +182,13 @@ class Station(TomlSection):
     """
 
     position_mm: Vector | None = None
-    """Approximate position of the tracker head on the floor plan, without weight. These positions also define the axes
-    of the floor plan in the network frame, in which nest normals are given."""
+    """Approximate position of the tracker head on the floor plan, without weight. The positions of all stations also
+    determine the axes of the floor plan in the network frame. Nest normals are given in these axes.
+    """
     yaw_deg: Finite | None = None
-    """Direction of azimuth zero, counter-clockwise from x: an approximate value without weight, used if fewer than
-    three stations have `position_mm`."""
+    """Direction of azimuth zero, counter-clockwise from the x axis (seen from above): an approximate value without
+    weight, used if fewer than three stations have `position_mm`.
+    """
     yaw_sigma_arcsec: Sigma | None = None
     """Standard deviation of `yaw_deg`, for example of a gyroscope. With it `yaw_deg` of a levelled station is a
     weighted constraint."""
@@ -202,7 +208,7 @@ class Station(TomlSection):
     @model_validator(mode="after")
     def _check_orientation(self) -> Station:
         if self.yaw_sigma_arcsec is not None and (self.yaw_deg is None or not self.levelled):
-            raise ValueError("it should have yaw_deg, and levelled = true, with yaw_sigma_arcsec")
+            raise ValueError("yaw_sigma_arcsec needs the keys yaw_deg and levelled = true in this table")
         return self
 
 
@@ -258,11 +264,11 @@ class ReferenceDifference(TomlSection):
     known_mm: Vector
     """Coordinates of `to` minus those of `from`."""
     known_sigma_mm: Sigma = 0.01
-    """Standard deviation of each known coordinate."""
+    """Standard deviation of each coordinate of the vector."""
     known_covariance_mm2: Covariance | None = None
-    """Covariance xx, xy, xz, yy, yz, zz of the known coordinates; it replaces `known_sigma_mm`."""
+    """Covariance xx, xy, xz, yy, yz, zz of the coordinates of the vector; it replaces `known_sigma_mm`."""
     known_axes: Axes = "xyz"
-    """Axes along which the coordinates are known."""
+    """Axes along which the vector is known."""
 
     @property
     def label(self) -> str:
@@ -291,14 +297,15 @@ class BenchTest(TomlSection):
     reflector: str = ""
     """Name of the SMR; without it the test applies to each SMR that has no test under its name."""
     angle_deg: tuple[Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)], ...]
-    """Angles of incidence."""
+    """Angles of incidence between beam and normal of the nest, negative on the side opposite to `direction_deg`."""
     error_um: tuple[Finite, ...]
     """Range error (reading minus true range) at each angle, up to an unknown constant."""
     sigma_um: tuple[NonNegative, ...]
-    """Standard deviation of each error relative to the error at normal incidence."""
+    """Standard deviation of each range error, relative to the range error at normal incidence."""
     direction_deg: Finite = 0.0
-    """Direction, around the normal of the nest, in which angles of incidence are positive: 0 is horizontal. An index
-    mark on the SMR shows it."""
+    """Direction, around the normal of the nest, in which angles of incidence are positive: seen from the front of the
+    nest, 0 is horizontal to the right and 90 is upwards. An index mark on the SMR shows it.
+    """
 
     @model_validator(mode="after")
     def _check_equal_counts(self) -> BenchTest:
@@ -306,8 +313,8 @@ class BenchTest(TomlSection):
         if len(set(counts)) > 1 or counts[0] < MIN_BENCH_ANGLES:
             angles, errors, sigmas = counts
             raise ValueError(
-                f"it has {angles} angles, {errors} errors and {sigmas} sigmas, expected as many of each, "
-                f"{MIN_BENCH_ANGLES} or more"
+                f"the table has {angles} values of angle_deg, {errors} of error_um and {sigmas} of sigma_um, expected "
+                f"equal numbers of at least {MIN_BENCH_ANGLES}"
             )
         return self
 
@@ -316,11 +323,11 @@ class Setup(TomlSection):
     """Content of `setup.toml`: prior knowledge about instruments, stations, targets and reference values."""
 
     format: Literal["ltsim-recording/1"] = "ltsim-recording/1"
-    """Format and version of this file."""
+    """Format and version of `setup.toml`."""
     title: str = ""
     """Title of the recording, free text."""
     started: str = ""
-    """Start of the recording (time 0): date and time in ISO format, or only the time of day."""
+    """Start of the recording (time 0 of the pointings): date and time in ISO format, or only the time of day."""
     datum_source: SingleLine | None = None
     """Source of the coordinates of the datum targets, such as a file name. With it each datum target is tested against
     the others; one that contradicts them is removed from the datum and reported."""
@@ -358,7 +365,8 @@ class Setup(TomlSection):
     """Bench tests of reflectors, one table `[[bench]]` each."""
     reference_radius_mm: NonNegative | None = None
     """Radius of the SMR whose centre defines the coordinates of all targets; 0 for the seat of the nest. Default:
-    common radius of the SMRs. The key must be above the first table."""
+    common radius of the SMRs. The key must be above the first table of the file.
+    """
 
     def instrument_of(self, station: str) -> Instrument:
         """Instrument at the station with this name."""

@@ -29,7 +29,7 @@ RANGE_KEY_PREFIXES = ("distance_", "range_")
 ASSUMED_TOTAL_STATION_NOISE = Noise(distance_mm=1.0, distance_ppm=1.5, azimuth_arcsec=1.0, elevation_arcsec=1.0)
 """Standard deviations of a precise total station by ISO 17123, as in data sheets."""
 ASSUMED_TOTAL_STATION = Instrument(noise=ASSUMED_TOTAL_STATION_NOISE, corrected=True)
-"""Instrument that is assumed for files of total stations; it corrects its readings."""
+"""Instrument that is assumed for files of total stations; the readings are already corrected for its errors."""
 ASSUMED_NOISE_NOTE_BEGINNING = "the file declares no noise"
 """Beginning of each note that reports an assumed noise."""
 ASSUMED_TRACKER_NOISE_NOTE = (
@@ -42,7 +42,7 @@ ASSUMED_TOTAL_STATION_NOISE_NOTE = (
     + ": the default noise of a total station is used ({distance:g} mm + {ppm:g} ppm, {angle:g} arcsec), "
     "because {reason}; set it in setup.toml, or estimate it from the readings (--noise-from-data)"
 )
-"""Note for the user that the noise of a total station is assumed; a template for the noise and the reason."""
+"""Note for the user that the noise of a total station is assumed; the text has fields for the noise and the reason."""
 
 
 def has_assumed_noise(notes: Iterable[str]) -> bool:
@@ -73,13 +73,15 @@ class Specification(TomlSection):
     range_offset_limit_um: NonNegative = 0.0
     """Limit of the range zero error (e_R0)."""
     noise_variance_fraction: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.5
-    """Fraction of the variance that is noise of readings; the rest is the prior variance of instrument parameters."""
+    """Fraction of the variance derived from each limit that is noise of readings; the rest is the prior variance of
+    instrument parameters.
+    """
 
     @model_validator(mode="after")
     def _check_positive_limits(self) -> Self:
         for kind in ("transverse", "range"):
             if not getattr(self, f"{kind}_limit_um") and not getattr(self, f"{kind}_limit_um_per_m"):
-                raise ValueError(f"it should not be 0 in both {kind}_limit_um and {kind}_limit_um_per_m")
+                raise ValueError(f"{kind}_limit_um and {kind}_limit_um_per_m should not both be 0")
         return self
 
     def transverse_limit(self, range_: Floats) -> Floats:

@@ -58,7 +58,7 @@ class WrongColumnConversion:
 
 
 def _length_unit_error(name: str, unit: str, unit_in_mm: float) -> WrongColumnConversion:
-    """Transcription error of distances in another unit of `unit_in_mm` [mm]."""
+    """Transcription error of distances in a wrong `unit` (plural noun) of `unit_in_mm` [mm], with the given name."""
     return WrongColumnConversion(name, unit, "millimetres", ((0, 1.0 / unit_in_mm, 0.0),))
 
 
@@ -139,7 +139,7 @@ class StationTargetPoints:
     points: Floats
 
     def common_points(self, other_cloud: StationTargetPoints) -> tuple[Floats, Floats]:
-        """Positions (m, 3) of the m targets that both stations measured, first in this station's frame."""
+        """Positions (m, 3) of the m targets that both stations measured, in this and in the other station's frame."""
         _, rows, other_rows = np.intersect1d(self.targets, other_cloud.targets, assume_unique=True, return_indices=True)
         return self.points[rows], other_cloud.points[other_rows]
 
@@ -182,7 +182,7 @@ def shared_target_counts(station: Ints, target: Ints, n_stations: int) -> Ints:
 
 
 def most_shared_target_pairs(station: Ints, target: Ints, n_stations: int) -> list[tuple[int, int]]:
-    """Pairs of station indices: for each station the earlier station with which it shares most targets, then itself.
+    """Pairs (earlier, later) of station indices: each station with the earlier one that shares most targets.
 
     Pairs with fewer than `MIN_TARGETS_FOR_MIRROR_TEST` common targets are omitted, because these may lie in a plane,
     and the mirror image of a plane is equal to it.

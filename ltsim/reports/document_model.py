@@ -60,7 +60,7 @@ class SectionContext:
     def companion_file(self, name: str, content: ResultFile) -> Path | None:
         """Path of the file `name` that belongs to the result `content`, in its folder.
 
-        It is None without such a file. RecordError is raised if the file belongs to another result.
+        The result is None if there is no such file. RecordError is raised if the file belongs to another result.
         """
         return None if self.folder is None else companion_path(self.folder, name, content)
 
@@ -94,7 +94,7 @@ class TableBlock:
     marked_rows: frozenset[int] = frozenset()
     """Indices of highlighted rows."""
     column_meanings: Sequence[str] = ()
-    """PossibleCause of each heading, shown when the pointer is over it."""
+    """Meaning of each column, shown when the pointer is over its heading."""
     is_foldable: bool = True
     """True if a long table starts folded (only its title is shown); False for a table that readers need completely."""
     kind: Literal["table"] = "table"
@@ -173,7 +173,7 @@ class NoteBlock:
 
 @dataclass(frozen=True)
 class CodeBlock:
-    """Preformatted text of a section, such as settings; the page shows only its title until that is clicked."""
+    """Preformatted text of a section, such as settings; the page shows only its title until the title is clicked."""
 
     title: str
     text: str
@@ -200,7 +200,8 @@ class Section:
     """Section of a page that reports the result in a folder."""
 
     title: str
-    """Title of a page with this section alone; on other pages `kind` and `folder` are the heading."""
+    """Title of a page that contains only this section; on a page with several sections its heading consists of `kind`
+    and `folder`."""
     kind: str
     """Kind of the result, such as `Calibration`."""
     summary: str
@@ -221,15 +222,16 @@ class Section:
     instrument_text: str = ""
     measurement_date: str = ""
     n_open_blocks: int = 3
-    """Number of leading blocks that are open; the page shows only the titles of the others."""
+    """Number of leading blocks (tables, pictures, ...) that are open; the page shows only the titles of all other
+    blocks."""
     n_side_by_side_blocks: int = 0
-    """Number of leading blocks that are side by side at the head of the page."""
+    """Number of leading blocks (tables, pictures, ...) that are side by side at the head of the page."""
     n_terminal_blocks: int | None = None
-    """Number of leading blocks that a terminal prints; None for all."""
+    """Number of leading blocks (tables, lists, ...) that a terminal prints; None for all."""
     simulation_notice: str = ""
     """Notice before the summary that the data are simulated; empty for real data."""
     method: str = ""
-    """Method of the result, which the heading shows after its kind; empty for none."""
+    """Method by which the result was computed, shown in the heading after the kind of the result; empty for none."""
 
     @property
     def most_urgent_actions(self) -> list[str]:

@@ -110,8 +110,8 @@ def document_of_folder(
 ) -> Document:
     """Document of the page that reports the results in a folder.
 
-    `recording` is the recording of the results if it is elsewhere, and `about` has texts for the head of the page by
-    name.
+    `recording` is the recording of the results if it is elsewhere, `title` the title of the page if it is not the
+    default, and `about` has texts for the head of the page by name.
 
     Raises
     ------
@@ -138,7 +138,7 @@ def document_of_folder(
 
 
 def _recommended_actions(sections: list[Section]) -> list[str]:
-    """Next actions of the first section; if it has none, of the next section with actions and the same assessment."""
+    """Next actions of the first section; if it has none, of the next one with actions and equal assessment."""
     first_section = sections[0]
     chosen = next((s for s in sections if s.next_actions and s.assessment == first_section.assessment), first_section)
     return first_section.most_urgent_actions or chosen.most_urgent_actions
@@ -173,7 +173,7 @@ def _header_lines(page_parts: list[PagePart], sections: list[Section], about: Re
 def _page_parts(folder: Path, recording: Path | None) -> list[PagePart]:
     """Parts of the page of a folder: a part for each result in the folder, or in folders of it.
 
-    `recording` is the recording that the user gave; None without it.
+    `recording` is the recording that the user gave; None if the user gave none.
     """
     subfolders = sorted((p for p in folder.iterdir() if p.is_dir()), key=lambda p: natural_sort_key(p.name))
     page_parts = [
@@ -210,8 +210,8 @@ def _page_parts(folder: Path, recording: Path | None) -> list[PagePart]:
 def _part_sections(page_parts: list[PagePart], page_folder: Path) -> Iterator[tuple[PagePart, Section]]:
     """Parts of a page with their sections; the first recording is shown in 3D, others from above.
 
-    All recordings are shown from above if `page_folder` holds a diagnosis and no truth, to keep the page small. A
-    folder in `page_folder` that cannot be read becomes a section with the error, unless it is the only part.
+    All recordings are shown from above if `page_folder` holds a diagnosis and no `truth.json`, to keep the page small.
+    A folder in `page_folder` that cannot be read becomes a section with the error, unless it is the only part.
     """
     shown_sources: set[Path | str | None] = set()
     only_from_above = (page_folder / "diagnosis.json").is_file() and not (page_folder / TRUTH_FILE_NAME).is_file()
@@ -232,7 +232,7 @@ def _part_sections(page_parts: list[PagePart], page_folder: Path) -> Iterator[tu
 
 
 def _recording_digest(page_part: PagePart) -> str:
-    """Digest of the recording of a page part; empty if the result does not contain a digest."""
+    """Digest of the recording from which the result of a page part was computed; empty if the result contains none."""
     try:
         if page_part.result_file == OBSERVATIONS_FILE:
             return recording_digest(read(page_part.folder))
@@ -278,7 +278,7 @@ def package_versions() -> list[tuple[str, str]]:
 
 
 def _recording_folder(result_folder: Path, page_folder: Path) -> Path | None:
-    """Folder of the recording of the results in a folder, searched in and next to it; None without it."""
+    """Folder of the recording of the results in `result_folder`, or next to this folder; None if not found."""
     for candidate in (result_folder, result_folder / "recording", result_folder.parent / "recording", page_folder):
         if (candidate / OBSERVATIONS_FILE).is_file():
             return candidate.resolve()

@@ -142,7 +142,7 @@ class Residuals:
         return replace(self, covariates=covariates)
 
     def normalised_by_noise_of(self, reference: Residuals) -> Residuals:
-        """Residuals, normalised by the standard deviations that the same readings have in `reference`."""
+        """Copy of the residuals, divided by the standard deviations that the same readings have in `reference`."""
         sigma = np.append(reference.sigma, np.nan)[self._indices_in(reference)]
         with np.errstate(divide="ignore", invalid="ignore"):
             return replace(self, normalised_residual=self.displayed_residual / (sigma * np.sqrt(self.redundancy)))

@@ -161,7 +161,7 @@ def _draw_surroundings(plotter: pv.Plotter, workshop: WorkshopScene) -> None:
 
 
 def _draw_sights(plotter: pv.Plotter, workshop: WorkshopScene) -> tuple[str, float, float] | None:
-    """Draw each line of sight once, coloured by its largest value; returns label, lowest and highest value."""
+    """Draw each sight once, coloured by its largest value; returns label, lowest and highest of these values."""
     sights = workshop.sights
     if sights is None or not len(sights.station_indices):
         return None

@@ -32,12 +32,11 @@ section 2.3.2)."""
 MAX_LOWEST_HEIGHT_WITH_FLOOR_AT_ZERO = 3.0
 """Largest height [m] above z = 0 of the lowest target or tracker in a plan at which the floor is drawn at z = 0.
 
-If all of them are higher, the floor is drawn at the lowest target. The limit is above the height of a tracker on its
-tripod.
-"""
+If all targets and trackers are higher, the floor is drawn at the lowest target. The limit is above the height of a
+tracker on its tripod."""
 MIN_WALL_NEST_NORMAL_COMPONENT = 0.25
-"""Component of a nest's unit normal perpendicular to a wall, above which the nest can belong to the wall. The normal is
-then at most 75 degrees from the perpendicular. The value is a choice for drawing."""
+"""Component, perpendicular to a wall, of the unit normal of a nest, above which the nest can belong to the wall. The
+normal is then at most 75 degrees from the perpendicular of the wall. The value is a choice for drawing."""
 MAX_WALL_NEST_DEPTH_DIFFERENCE = 0.2
 """Largest distance [m] of a nest from the rearmost target at which the nest belongs to the wall behind that target."""
 DRAWN_FLOOR_MARGIN = 0.4
@@ -91,7 +90,8 @@ class WorkshopScene(ValueEquality):
     target_covariances: Floats | None = None
     """Covariance (T, 3, 3) [m^2] of each of T targets; None if unknown."""
     target_corrections: Floats | None = None
-    """Change (T, 3) [m] of each of T targets by a calibration or a finding; None if unknown."""
+    """Change (T, 3) [m] of the coordinates of each of T targets by a calibration, or by a finding of a diagnosis; None
+    if unknown."""
     obstacle_triangles: Floats = field(default_factory=lambda: np.zeros((0, 3, 3)))
     """Corners (k, 3, 3) [m] of the k triangles of obstacles."""
     blocked_sights: Ints = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
@@ -101,14 +101,14 @@ class WorkshopScene(ValueEquality):
 
     @property
     def station_yaws(self) -> Floats:
-        """Direction (S,) [rad] of azimuth zero at each of S stations, counter-clockwise from x."""
+        """Direction (S,) [rad] of azimuth zero at each of S stations, counter-clockwise (seen from above) from x."""
         return np.arctan2(self.station_rotations[:, 1, 0], self.station_rotations[:, 0, 0])
 
     @property
     def shadow_cone_openings(self) -> tuple[float, ...]:
         """Full angles [rad] of the cones below a tracker in which it sees nothing.
 
-        They are that of the elevation limit, and `ALTERNATIVE_SHADOW_CONE_OPENING`.
+        The first angle follows from the lower elevation limit, the second is `ALTERNATIVE_SHADOW_CONE_OPENING`.
         """
         limit = default_shadow_cone_opening(self.elevation_min)
         return (
@@ -147,7 +147,10 @@ class WorkshopScene(ValueEquality):
         return DrawnSights(station[has_normal], target[has_normal], angle, "incidence on the nest [°]")
 
     def with_sights_coloured_by(self, quantity: str) -> WorkshopScene:
-        """Scene with lines of sight coloured by 'incidence'; unchanged for 'residual' or without nest normals."""
+        """Scene with lines of sight coloured by incidence angle if `quantity` is 'incidence' and nests have normals.
+
+        Otherwise the scene is unchanged; the colours of a new scene show residuals, if there are any.
+        """
         sights = self.incidence_sights() if quantity == "incidence" else None
         return self if sights is None else replace(self, sights=sights)
 
@@ -155,9 +158,9 @@ class WorkshopScene(ValueEquality):
 def workshop_from_adjustment(
     adjustment: Adjustment, *, adjustment_without_parameters: Adjustment | None = None
 ) -> WorkshopScene:
-    """Scene of an adjusted network; arrows show the change of the targets by the instrument's parameters.
+    """Scene of an adjusted network; arrows show the change of the targets by the estimation of instrument parameters.
 
-    The change is relative to `adjustment_without_parameters`; None for a scene without arrows.
+    The change is relative to `adjustment_without_parameters`. If this is None, the scene has no arrows.
     """
     recording, state = adjustment.recording, adjustment.state
     largest_residuals = np.nanmax(np.abs(np.nan_to_num(adjustment.normalised_residuals)), axis=1)
@@ -190,7 +193,7 @@ def workshop_from_adjustment(
 def workshop_from_recording(recording: Recording) -> WorkshopScene:
     """Scene of a recording adjusted with the instrument's parameters and the identified causes of a misfit.
 
-    Arrows show the change of the targets by the estimation of these parameters.
+    Arrows show the change of the adjusted targets that results from the estimation of these parameters.
     """
     selection = identify_causes(recording)
     ideal_adjustment = IdentifiedNetwork.from_cause_selection(recording, ideal_construction(), selection).adjustment
@@ -340,7 +343,7 @@ def workshop_from_scenario(scenario: Scenario) -> WorkshopScene:
 def workshop_with_cad(
     workshop: WorkshopScene, file: Path, unit: str | None = None, vertical_axis: str | None = None
 ) -> WorkshopScene:
-    """Scene with the bodies of a CAD file; `unit` and `vertical_axis` override the convention of its format.
+    """Scene with the bodies of a CAD file; `unit` and `vertical_axis` override the convention of the file format.
 
     Raises
     ------

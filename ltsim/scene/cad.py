@@ -84,7 +84,7 @@ def read_cad_file(path: Path, unit: str | None = None, vertical_axis: str | None
     if suffix not in CAD_SUFFIXES:
         raise InputError(f"{path}: the suffix is '{path.suffix}', expected one of {', '.join(CAD_SUFFIXES)}")
     if suffix in EXACT_SURFACE_SUFFIXES and unit is not None:
-        raise InputError(f"{path}: {suffix[1:].upper()} files declare their unit; remove unit")
+        raise InputError(f"{path}: {suffix[1:].upper()} files declare their unit; give no other unit")
     file_axis = vertical_axis or ("y" if suffix in GLTF_SUFFIXES else "z")
     file_unit = "" if suffix in EXACT_SURFACE_SUFFIXES else unit or ("m" if suffix in GLTF_SUFFIXES else "mm")
     try:

@@ -12,14 +12,14 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.scene.meshes import RAY_BUNDLE_RADIUS, Obstacles
 
 CLEARANCE_TOLERANCE = 1e-9
-"""Largest amount [m] by which a body may be closer than the clearance without breaking the rule: rounding."""
+"""Amount [m] by which a body may be closer to the axis of a stand than the clearance, to allow for rounding errors."""
 N_STANDS_PER_BATCH = 64
 """Number of stands whose distances from the triangles around them are computed together."""
 
 
 @dataclass(frozen=True)
 class StandClearance:
-    """Clearance around stands: an upright cylinder about the axis of each instrument, from the floor to its centre.
+    """Clearance around stands: an upright cylinder below each instrument, from the floor to the centre of its head.
 
     Bodies below the height of the instrument must stay outside the cylinder. Bodies above it, such as a gallery or a
     crane, do not matter.
@@ -32,9 +32,9 @@ class StandClearance:
 
     @cached_property
     def _triangle_tree(self) -> shapely.STRtree:
-        """Search tree of the bounding rectangles of the triangles, seen from above, given by their diagonals.
+        """Search tree of the triangles by their bounding rectangles, seen from above.
 
-        The diagonals have the same bounding rectangles and take half of the memory.
+        A triangle is represented by a diagonal of its rectangle, which takes half of the memory of the rectangle.
         """
         low, high = self.obstacles.triangles[:, :, :2].min(axis=1), self.obstacles.triangles[:, :, :2].max(axis=1)
         return shapely.STRtree(shapely.linestrings(np.stack([low, high], axis=1)))
@@ -48,9 +48,10 @@ class StandClearance:
         return np.concatenate([*room_flags, np.zeros(0, dtype=bool)])
 
     def _has_room_by_batch(self, position: Floats) -> Bools:
-        """Flags (N,) as in `has_room`; corners of triangles are tested first, and their edges where this is not enough.
+        """Flags (N,): True for each of N instrument positions (N, 3) [m] without a body in the cylinder below it.
 
-        Next to a CAD file with many triangles a corner is nearly always in the cylinder if any part of a body is.
+        Edges of triangles are tested only if no corner is in the cylinder: of a CAD file with many triangles, a corner
+        is nearly always in the cylinder if any part is.
         """
         stand, triangle = self._triangles_around(position)
         corners, stands = self.obstacles.triangles[triangle], position[stand, None]
@@ -65,7 +66,7 @@ class StandClearance:
         return has_room
 
     def nearest_body(self, position: Floats) -> tuple[float, str]:
-        """Horizontal distance [m] from an instrument position (3,) [m] to the nearest body in the cylinder, its name.
+        """Distance [m] (horizontal) and name of the body in the cylinder nearest to an instrument position (3,) [m].
 
         The distance is infinite without such a body, and the name is empty for a body without a name.
         """
@@ -85,7 +86,10 @@ class StandClearance:
         return self.obstacles.floor_height + RAY_BUNDLE_RADIUS
 
     def _triangles_around(self, position: Floats) -> tuple[Ints, Ints]:
-        """Pairs (k,) and (k,) of a stand, of N at `position` (N, 3) [m], and a triangle that may be in its cylinder."""
+        """Indices (k,) of stands and indices (k,) of triangles: k pairs whose triangle may be in the cylinder.
+
+        The stands are those at N instrument positions `position` (N, 3) [m].
+        """
         x, y, top = position.T
         boxes = shapely.box(x - self.radius, y - self.radius, x + self.radius, y + self.radius)
         stand, triangle = self._triangle_tree.query(boxes)

@@ -59,7 +59,7 @@ class FloorKeepOut(TomlSection):
     corners_mm: PlanOutline
     """Coordinates x and y of the corners, in order around the area."""
     clear_mm: NonNegative = 0.0
-    """Width of the strip around the area that must be free of tripods too."""
+    """Width of the strip around the outline of the area that must be free of tripods too."""
 
 
 class Door(TomlSection):
@@ -72,7 +72,7 @@ class Door(TomlSection):
     to_mm: PlanPoint
     """Coordinates x and y of the other side of the opening."""
     clear_mm: NonNegative = 1500.0
-    """Width of the area that must be free in front of the door."""
+    """Distance from the opening of the door within which no tripod may stand."""
 
 
 class Floor(TomlSection):

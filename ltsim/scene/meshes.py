@@ -190,7 +190,7 @@ class Obstacles:
         return self.is_inside_body(points) | self.is_blocked(points, feet)
 
     def body_names_around(self, points: Floats, *, of_setups: bool = False) -> list[str]:
-        """Names of the bodies that contain any of n points (n, 3) [m], or (`of_setups`) an instrument or tripod."""
+        """Names of the bodies that contain points (n, 3) [m] or, with `of_setups`, instruments there or tripods."""
         names, start = [], 0
         for name, n_triangles in self.body_names_and_triangle_counts:
             body = Obstacles(self.triangles[start : start + n_triangles], self.floor_height)
@@ -271,7 +271,7 @@ def _dot_products(first_vectors: Floats, second_vectors: Floats) -> Floats:
 
 
 def rotate_and_shift_triangles(triangles: Floats, position: Floats, yaw: float) -> Floats:
-    """Triangles (m, 3, 3) [m] rotated by `yaw` [rad] about the z axis, then shifted by `position` (3,) [m]."""
+    """Triangles (m, 3, 3) [m] turned counter-clockwise about z by `yaw` [rad], then shifted by `position` (3,) [m]."""
     return triangles @ rotation_about_z(yaw).T + position
 
 

@@ -29,28 +29,40 @@ REGION_SHAPES = {
 }
 """Name of the shape of a region, by the axes in which the region is bounded."""
 MIN_REGION_CENTRE_SPACING = 0.5
-"""Smallest spacing [m] of region centres on the coarsest grid, to limit the number of candidate regions."""
+"""Smallest spacing [m] of region centres on the coarsest grid, to limit the number of candidate regions (regions that a
+diagnosis tests as places of a disturbance).
+"""
 MAX_REGION_CENTRES_PER_AXIS = 10
-"""Largest number of region centres along an axis of the coarsest grid, to limit the number of candidate regions."""
+"""Largest number of region centres along an axis of the coarsest grid, to limit the number of candidate regions
+(regions that a diagnosis tests as places of a disturbance).
+"""
 GRID_SUBDIVISIONS_BY_N_AXES = {1: (1, 4), 2: (1, 2), 3: (1,)}
 """Divisors of the spacing of the coarsest grid that give the grids of candidate regions, by the number of bounded axes.
-A finer grid is needed for a disturbance narrower than the spacing: a region several times wider than the disturbance
-has only a tenth of the evidence."""
+A disturbance narrower than the spacing needs a finer grid: a region several times wider than the disturbance has only a
+tenth of the log evidence (logarithm of the marginal likelihood) of a region of the right width.
+"""
 MIN_LINES_THROUGH_REGION = 6
-"""Smallest number of lines of sight through a candidate region; fewer lines show an error of single readings."""
+"""Smallest number of lines of sight through a candidate region (possible place of a disturbance); fewer lines show an
+error of single readings.
+"""
 MAX_LINE_FRACTION_THROUGH_REGION = 0.8
-"""Largest fraction of all lines of sight that may pass through a candidate region; if almost all do, the error belongs
-to the whole recording."""
+"""Largest fraction of all lines of sight that may pass through a candidate region (possible place of a disturbance); if
+almost all do, the error belongs to the whole recording.
+"""
 MIN_TARGETS_BEHIND_REGION = 2
-"""Smallest number of targets whose lines of sight pass through a candidate region; with a single target the error
-belongs to this target."""
+"""Smallest number of targets whose lines of sight pass through a candidate region (possible place of a disturbance);
+with a single target the error belongs to this target.
+"""
 LOCAL_SEARCH_CENTRE_SHIFTS = (0.5, 0.15)
-"""Shifts of a region's centre that a local search tries, divided by the width of the region."""
+"""Shifts of a region's centre, divided by the width of the region, that a diagnosis tries to find a region that
+explains the readings better.
+"""
 LOCAL_SEARCH_WIDTH_FACTORS = (0.5, 0.7, 1.4, 2.0)
-"""Factors by which a local search multiplies the width of a region."""
+"""Factors of the width of a region that a diagnosis tries to find a region that explains the readings better."""
 MIN_REGION_WIDTH = 0.005
-"""Smallest width [m] of a region in a local search: the width of a tracker's beam. A narrower region would contain
-single lines of sight."""
+"""Smallest width [m] of a region that a diagnosis tries: the width of a tracker's beam. A narrower region would contain
+single lines of sight.
+"""
 MAX_REGION_LINE_PAIRS = 300_000
 """Largest number of pairs of region and line of sight that are processed at a time; they take some tens of MB of
 memory."""
@@ -136,7 +148,7 @@ class HallRegion:
         return path, -rho * (lever / width**2)[:, None]
 
     def local_search_variants(self) -> Iterator["HallRegion"]:
-        """Iterator over the regions that a local search tries: with a shifted centre, or with another width."""
+        """Iterator over similar regions, which may explain the readings better: with another centre or width."""
         for i, move, sign in product(range(len(self.bounded_axes)), LOCAL_SEARCH_CENTRE_SHIFTS, (1.0, -1.0)):
             centre = list(self.centre)
             centre[i] = round(centre[i] + sign * move * self.width, 6)
@@ -164,8 +176,8 @@ def lever_weighted_path_lengths_in_regions(
 ) -> Floats:
     """Path lengths (r, n) [m] of n lines of sight in r regions, weighted by the lever to the end of each line.
 
-    The weights are those in `HallRegion.lever_weighted_path_lengths`. `path_lengths` (r, n) [m] is the result of
-    `path_lengths_in_regions` for these regions.
+    A part of the line, at the distance s from the station, has the weight (d - s) / d, with the length d of the line.
+    `path_lengths` (r, n) [m] is the result of `path_lengths_in_regions` for these regions.
     """
     beam, length, start, a, crossing = _lines_relative_to_centres(sightings, bounded_axes, region_centres)
     lever = 0.5 * path_lengths  # w is constant along a parallel line
@@ -182,9 +194,9 @@ def _lines_relative_to_centres(
 ) -> tuple[Floats, Floats, Floats, Floats, Bools]:
     """Lines of sight in the k bounded coordinates, relative to the centres (r, k) [m] of r regions.
 
-    The results, in these coordinates, are the components (n, k) of the unit vectors of n lines, the lengths (n,) [m] of
-    the lines, the start points minus the centres (r, n, k) [m], and the squared lengths (n,) of the components. Flags
-    (n,) of the lines that are not parallel to the unbounded axes follow.
+    The first four results, in these coordinates, are the components (n, k) of the unit vectors of n lines, the lengths
+    (n,) [m] of the lines, the start points minus the centres (r, n, k) [m], and the squared lengths (n,) of the
+    components. The fifth result is True (n,) for each line that is not parallel to the unbounded axes.
     """
     indices = ["xyz".index(axis) for axis in bounded_axes]
     beam = sightings.beam_vectors[0][:, indices]
@@ -212,8 +224,9 @@ def _line_integral(
 ) -> Floats:
     """Integral (..., n) [m] of the weight w of a region along n lines of lengths `line_lengths` (n,) [m].
 
-    `approach_distance` (..., n) [m] and `perpendicular_distance` (..., n, k) [m] are the results of
-    `_nearest_approach`. `sigma_along_line` (n,) [m] is the standard deviation of w along each line.
+    `approach_distance` (..., n) [m] and `perpendicular_distance` (..., n, k) [m] are the distance along the line to the
+    point nearest to the centre, and the vector from the centre to this point in k bounded coordinates.
+    `sigma_along_line` (n,) [m] is the standard deviation of w along each line.
     """
     from scipy.special import ndtr
 

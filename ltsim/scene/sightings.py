@@ -33,7 +33,7 @@ class Sightings:
     repeat: Ints
     """Number of the round of measurements of each of n pointings, (n,); a station may repeat its round."""
     time: Floats
-    """Time of each of n pointings, (n,) [s]."""
+    """Time of each of n pointings since the start of the recording, (n,) [s]."""
     station_positions: Floats
     """Origins of the instruments at S stations, (S, 3) [m]."""
     station_rotations: Floats
@@ -55,8 +55,9 @@ class Sightings:
     vector is the offset of the reflector from its target minus the offset of the instrument from its station. None if
     all are zero."""
     encoder_readings: Floats | None = None
-    """Raw readings (n, 3) [m, rad] of n pointings with the instrument's errors; errors with a short period depend on
-    them. If None, ideal (error-free) readings are used."""
+    """Raw readings (n, 3) [m, rad] of n pointings with the instrument's errors, on which encoder errors with a short
+    period depend. If None, ideal (error-free) readings are used.
+    """
 
     def __len__(self) -> int:
         return len(self.station)
@@ -133,12 +134,18 @@ class Sightings:
 
     @cached_property
     def local_derivatives(self) -> Floats:
-        """Derivatives (n, 3, 3) of the raw readings of n pointings by the coordinates in the instrument frame."""
+        """Derivatives (n, 3, 3) of the raw range, azimuth and elevation of n pointings by x, y, z of the reflector.
+
+        Rows are readings, columns coordinates in the instrument frame; units are 1 for the range and rad/m for angles.
+        """
         return polar_jacobian(self.ideal_front_face_readings, self.face)
 
     @cached_property
     def target_derivatives(self) -> Floats:
-        """Derivatives (n, 3, 3) of the raw readings of n pointings by the target coordinates in the network frame."""
+        """Derivatives (n, 3, 3) of the raw range, azimuth and elevation of n pointings by x, y, z of the target.
+
+        Rows are readings, columns coordinates in the network frame; units are 1 for the range and rad/m for angles.
+        """
         return self.local_derivatives @ np.swapaxes(self.station_rotations[self.station], 1, 2)
 
     @cached_property
@@ -157,8 +164,8 @@ class Sightings:
     def reading_change_by_error_key(self) -> dict[str, Floats]:
         """Change (n, 3) [m, rad] of the readings of n pointings per unit of each instrument error, by key of the error.
 
-        The keys are those of `MISALIGNMENT_CHAIN`. An instrument error is a correction, which is added to a reading.
-        The reading of a fixed point is therefore smaller by its correction, hence the minus sign.
+        The keys are those of `MISALIGNMENT_CHAIN`. An instrument error is a correction, which is added to a reading:
+        for a fixed point, a larger correction means a smaller reading.
         """
         error_keys = {motion.error_key for motion in MISALIGNMENT_CHAIN}
         _, derivatives_by_key = points_and_error_derivatives(
@@ -202,7 +209,7 @@ class Sightings:
         return before
 
     def _cumulative_sum(self, row_increments: Floats | Bools) -> Floats:
-        """Sum (n,) of the increments (n,) of n pointings from the second pointing of the station to each pointing."""
+        """Cumulative sum (n,) of the increments (n,) over the pointings of each station, except its first pointing."""
         row_order = self.pointing_order_by_station
         first_indices = np.maximum.accumulate(
             np.where(self.previous_pointing_indices[row_order] < 0, np.arange(len(row_order)), 0)
@@ -228,15 +235,18 @@ class Sightings:
 
     @cached_property
     def cumulative_head_rotation(self) -> Floats:
-        """Rotation (n,) [rad] of the head at n pointings since the station's first pointing, with full turns."""
+        """Rotation (n,) [rad] of the azimuth axis, counter-clockwise, since the station's first pointing.
+
+        Full turns count, so that the angle may exceed 2 pi.
+        """
         return self._cumulative_sum(self.reading_changes_since_previous_pointing[:, 1])
 
     @cached_property
     def approach_signs(self) -> Floats:
         """Signs (n, 2) of the last rotation of the azimuth axis and of the elevation axis before each of n pointings.
 
-        An axis that does not move keeps the sign of its previous rotation. The sign is 0 until the first rotation at a
-        station.
+        The sign is +1 if the reading increased, -1 if it decreased. An axis that does not move keeps its sign. The sign
+        is 0 until the first rotation at a station.
         """
         sign = np.where(
             np.abs(self.reading_changes_since_previous_pointing[:, 1:]) < MIN_AXIS_ROTATION,
@@ -251,7 +261,7 @@ class Sightings:
 
     @cached_property
     def seating_numbers(self) -> Ints:
-        """Number (n,) of target changes at a station before n pointings; each change is a new seating of the SMR."""
+        """Number (n,) of target changes at a station before each pointing; each is a new seating of the SMR."""
         return self._cumulative_sum(self.target != self.target[self.previous_pointing_indices]).astype(np.int64)
 
     @cached_property
@@ -335,7 +345,8 @@ class Sightings:
     def incidence_direction(self) -> Floats:
         """Direction (n,) [rad] to the station in n pointings, as an angle around the normal of the nest.
 
-        It is 0 along the horizontal line in the plane of the nest's open side.
+        Seen from the front of the nest, 0 is horizontal to the right, and pi / 2 is upwards. NaN if the normal is
+        unknown.
         """
         return self._incidence_angle_and_direction[1]
 

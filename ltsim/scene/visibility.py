@@ -67,7 +67,8 @@ class SightLimits:
     """Largest angle of incidence [rad] on a reflector."""
     declared_shadow_cone_opening: float | None = None
     """Full opening angle [rad] of the shadow cone: the cone below the instrument in which its stand hides targets. If
-    None, the angle follows from `elevation_min`."""
+    None, the angle is computed from `elevation_min`.
+    """
 
     @property
     def shadow_cone_opening(self) -> float:
@@ -108,7 +109,7 @@ class Visibility:
         ]
 
     def short_reason_texts(self) -> list[list[str]]:
-        """Reasons as in `reason_texts`, but without measured values and limits: S lists of T texts."""
+        """Reason why each target is not visible from each station, without numbers: S lists of T texts."""
         return [[INVISIBILITY_REASON_TEXTS[code] for code in line] for line in self.reason_codes.tolist()]
 
     def _reason_text(self, station: int, target: int) -> str:
@@ -137,11 +138,14 @@ class Visibility:
 
     @property
     def is_marginal(self) -> Bools:
-        """Flags (S, T) of lines of sight that are not free from all positions within the tolerance of the station."""
+        """True (S, T) for lines of sight that are free from a station, but blocked from a position in its tolerance."""
         return np.asarray(self.reason_codes == InvisibilityReason.MARGINAL_SIGHT)
 
     def with_marginal_pairs(self, is_marginal: Bools) -> Visibility:
-        """Copy in which visible pairs of station and target with a flag in `is_marginal` (S, T) become invisible."""
+        """Copy in which pairs of station and target that are True in `is_marginal` (S, T) count as not visible.
+
+        A pair is marginal if its line of sight is blocked from a position within the tolerance of the station.
+        """
         codes = np.where(self.is_visible & is_marginal, np.int8(InvisibilityReason.MARGINAL_SIGHT), self.reason_codes)
         return replace(self, reason_codes=codes)
 
@@ -232,8 +236,8 @@ def join_visibility_tables(tables: Sequence[Visibility], station_order: Ints) ->
 def _incidence_on_reflectors(beam: Floats, nest_normals: Floats | None, is_reaimed: Bools | None) -> Floats:
     """Angles (S, T) [rad] between the directions to S stations and the normals of the nests of T targets.
 
-    `beam` (S, T, 3) are the unit vectors from stations to targets. `nest_normals` (T, 3) and `is_reaimed` (T,) are as
-    in `compute_visibility`. The angle is 0 for reflectors that are turned to the station.
+    `beam` (S, T, 3) are the unit vectors from stations to targets. `nest_normals` (T, 3) are unit vectors, NaN if
+    unknown. The angle is 0 for reflectors that are turned to the station before each pointing, `is_reaimed` (T,).
     """
     if nest_normals is None or is_reaimed is None:
         return np.zeros(beam.shape[:2])

@@ -37,14 +37,14 @@ class EffectDistribution:
     """
 
     effect: Effect
-    """Effect of the catalogue, with the stations and targets where it acts."""
+    """Physical effect, with the stations and targets where it acts."""
     parameter_means: Floats
     """Mean of each parameter of the effect, shape (parameters,) [SI]."""
     parameter_sigmas: Floats
     """Standard deviation of each parameter of the effect, shape (parameters,) [SI]; 0 for a parameter that is not
     drawn."""
     occurrence_number: int = 1
-    """Number of this effect, from 1, among the scenario's entries with the same effect, stations and targets."""
+    """Running number, from 1, of the scenario's entry among all entries with the same effect, stations and targets."""
 
     @property
     def is_nonnegative(self) -> Bools:
@@ -87,7 +87,7 @@ class StandardNormalSource:
         return standard_normal_trials(self.seed, self.trial_numbers, n_values, *stream_key)
 
     def single_trial_sources(self) -> list[StandardNormalSource]:
-        """Separate generator for each trial; all share a cache, so that each random number is drawn once."""
+        """Separate generator for each trial; all generators share a cache, so that each random number is drawn once."""
         together = lru_cache(maxsize=None)(self.__call__)
         return [
             _SingleTrialSource(self.seed, self.trial_numbers[[k]], together, k) for k in range(len(self.trial_numbers))
@@ -99,7 +99,7 @@ class _SingleTrialSource(StandardNormalSource):
     """Generator of the standard normal numbers of one trial, taken from the cached draws of a batch of trials."""
 
     draw_batch_numbers: Callable[..., Floats] = standard_normal_trials
-    """Function that draws the standard normal numbers of all trials of the batch, (n_values, trials)."""
+    """Function that draws the standard normal numbers, shape (n_values, trials), of all trials of the batch."""
     trial_index: int = 0
     """Index of the trial in the batch."""
 
@@ -132,7 +132,7 @@ class TrialDistributions:
     sightings: Sightings
     """Pointings with the true positions of stations and targets."""
     construction: GeometricErrorModel
-    """Instrument model that generates the readings."""
+    """Geometric error model of the instruments, which generates the readings."""
     instrument_names: tuple[str, ...]
     """Names of the trackers, in the order of the instruments of the recording; '' for a tracker without a name."""
     instrument_error_means: Floats
@@ -156,9 +156,9 @@ class TrialDistributions:
     ) -> DrawnTrialValues:
         """Random values of the trials for which `normal_source` generates standard normal numbers.
 
-        `instrument_values` (instruments, parameters, trials) [SI], if given, replaces the drawn instrument errors.
-        Another `stream_key` gives the same trials independent noise, for a second measurement. InputError is raised if
-        an effect makes a variance negative.
+        `instrument_values` (instruments, parameters, trials) [SI], if given, replaces the drawn instrument errors. Two
+        calls with different `stream_key` give the same trials independent noise, for a second measurement. InputError
+        is raised if an effect makes a variance negative.
         """
         effect_values = tuple(self._draw_effect_values(law, normal_source) for law in self.effects)
         noise_key = (stream_key, "noise") if stream_key else ("noise",)

@@ -33,8 +33,8 @@ MAX_NONCENTRALITY_SCALING_STEPS = 60
 """Largest number of iterations in the scaling of an effect to the requested noncentrality."""
 MAX_CHANGE_SIGMAS_PER_ROOT_NONCENTRALITY = 30.0
 """Largest permitted change of a reading by an injected effect. The unit is the standard deviation of the reading, times
-the square root of the requested noncentrality. If a larger change is needed, the unknowns of the network absorb the
-effect."""
+the square root of the requested noncentrality. An effect that needs a larger change is rejected, because the unknowns
+of the network absorb nearly all of it."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -78,7 +78,7 @@ class InjectedEffect(Result):
         }
 
     def to_json(self) -> dict[str, Any]:
-        """Entry of the effect in a file with the true values of injections."""
+        """Entry of the effect, as JSON data, in the truth file of an injection."""
         cause = self.effect
         shape = displayed_shape_parameters(cause) if isinstance(cause, Effect) else {}
         return {
@@ -103,7 +103,7 @@ class InjectionTruth(Result):
         return [repr(cause) for cause in self.injected_effects]
 
     def to_json(self) -> dict[str, Any]:
-        """Content of a file with the true values of injections."""
+        """Content of the truth file of an injection, as JSON data."""
         return {
             "format": INJECTION_FORMAT,
             "seed": self.seed,
@@ -171,8 +171,9 @@ class Injector:
     recording: Recording
     """Recording before the injection."""
     residual_space: ResidualSpace
-    """Residuals of the adjusted recording, with the part of a change of the readings that the network's unknowns cannot
-    absorb; noncentralities are computed from it."""
+    """Whitened equations of the adjusted recording, projected off all unknowns of the network. The projection gives the
+    part of a change of the readings that no change of the unknowns can absorb; noncentralities are computed from this
+    part."""
 
     @property
     def adjusted_state(self) -> NetworkState:
@@ -203,7 +204,10 @@ class Injector:
         )
 
     def added_noise_sigma(self, effect: NoiseEffect, parameter_values: Floats) -> Floats:
-        """Standard deviation of the noise that an effect adds to the readings, shape (pointings, 3) [m, rad, rad]."""
+        """Standard deviation (pointings, 3) [m, rad, rad] of the noise that an effect adds to the readings.
+
+        `parameter_values` (parameters,) [SI] are the parameters of the effect.
+        """
         sigma = self.recording.reading_sigmas()
         added = effect.variance(self.residual_space.sightings, sigma, parameter_values) - sigma**2
         if np.nanmin(added) < -1e-9 * np.nanmax(sigma) ** 2:
@@ -254,7 +258,7 @@ class Injector:
         )
 
     def _largest_relative_change(self, effect: CandidateEffect, parameter_values: Floats) -> float:
-        """Largest ratio of the change of a reading (or of the noise added to it) to its standard deviation."""
+        """Largest change of a reading, or noise added to a reading, divided by the reading's standard deviation."""
         reading_changes = (
             self.added_noise_sigma(effect, parameter_values)
             if isinstance(effect, NoiseEffect)
@@ -309,5 +313,5 @@ class Injector:
         )
 
     def with_recording(self, recording: Recording) -> Self:
-        """Injector for `recording`, which has injected effects already; it keeps the adjustment of this injector."""
+        """Injector for `recording`, which already contains injected effects, with the adjustment of this injector."""
         return replace(self, recording=recording)

@@ -43,14 +43,14 @@ class MeasurementGeometry:
     sightings: Sightings
     """Pointings to the visible targets at the true positions, with the readings of the air sensors as covariates."""
     effects: tuple[Effect, ...]
-    """Effects of the scenario, in addition to the instrument's errors."""
+    """Effects of the scenario that change readings in addition to the instrument's errors."""
     hidden_pair_notes: tuple[str, ...]
     """Sentences on the pairs of station and target without a line of sight, with the reason for each pair. If there are
     more than `MAX_LISTED_HIDDEN_PAIRS` pairs, one sentence states the number of pairs for each reason."""
 
     @cached_property
     def construction(self) -> GeometricErrorModel:
-        """Instrument model of the scenario."""
+        """Geometric error model of all trackers of the scenario."""
         return make_scenario_construction(self.scenario)
 
 
@@ -59,16 +59,17 @@ def make_measurement_geometry(
 ) -> MeasurementGeometry:
     """Measurement geometry of a scenario: drawn true positions, and pointings to the visible targets in order.
 
-    `plan` is the planned layout, if it was computed before. `stream_key` selects the random draws of the positions.
-    InputError is raised if a station sees no target, a CAD file is damaged, or an effect does not exist. It is also
-    raised if a nest without a declared normal holds an SMR whose radius differs from the reference radius.
+    `plan` are the planned poses and targets of the scenario; None if they are not computed yet. `seed` and `stream_key`
+    determine the random draws of the positions. InputError is raised if a station sees no target, a CAD file is
+    damaged, or an effect does not exist. It is also raised if a nest without a declared normal holds an SMR whose
+    radius differs from the reference radius.
     """
     layout = draw_true_layout(scenario, seed, *stream_key, plan=plan)
     table = make_visibility(scenario, layout)
     for s, name in enumerate(layout.station_names):
         if not table.is_visible[s].any():
             reason = table.reason_texts()[s][0]
-            raise InputError(f"stations.{name}: sees no reflector ({layout.target_names[0]} is {reason}); move it")
+            raise InputError(f"stations.{name}: sees no reflector ({layout.target_names[0]} is {reason}); move {name}")
     sightings = _sightings_in_measurement_order(scenario, layout, table.is_visible, seed, *stream_key)
     sightings = replace(sightings, sight_vector_offsets=true_smr_offsets(scenario, sightings, seed, *stream_key))
     return MeasurementGeometry(
@@ -85,8 +86,8 @@ def draw_true_layout(
 ) -> WorkshopLayout:
     """True poses of stations and positions of targets: the plan with random deviations from the table `[placing]`.
 
-    The gauge (reflectors at known distances) is displaced as a rigid body. `plan` is the planned layout, if it was
-    computed before. Another `stream_key` gives another layout.
+    The gauge (reflectors at known distances) is displaced as a rigid body. `plan` are the planned poses and targets of
+    the scenario; None if they are not computed yet. `seed` and `stream_key` determine the deviations.
     """
     plan, placing = plan or planned_layout(scenario), scenario.placing
     position, rotation, points = plan.station_positions.copy(), plan.station_rotations.copy(), plan.target_points.copy()
@@ -201,7 +202,10 @@ def _target_order(
     seed: int,
     *stream_key: str | int,
 ) -> Ints:
-    """Indices of the targets in the order in which a station measures them in the round `repeat_number`."""
+    """Indices of the targets in the order in which a station measures them in round `repeat_number`.
+
+    `seed` and `stream_key` determine a random order.
+    """
     n_targets = len(workshop_layout.target_names)
     if scenario.work.order == "as-listed":
         return np.arange(n_targets)
@@ -223,7 +227,7 @@ def _height_levels(heights: Floats) -> Floats:
 
 
 def _air_sensor_readings(scenario: Scenario, time: Floats) -> dict[str, Floats]:
-    """Readings of the instrument's air sensors at the times `time` [s], by column name, rounded to 0.1."""
+    """Readings [deg C, hPa, %] of the air sensors at the times `time` [s], by column name, rounded to 0.1."""
     hall = scenario.workshop
     temperature = hall.temperature_c + hall.temperature_rise_c_per_h * time / 3600.0
     return {

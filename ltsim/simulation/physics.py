@@ -16,16 +16,16 @@ from ltsim.simulation.sections import EffectEntry, ScenarioInstrument
 
 
 def make_scenario_construction(scenario: Scenario) -> GeometricErrorModel:
-    """Instrument model that all trackers of a scenario share."""
+    """Geometric error model that all trackers of a scenario share."""
     instrument = next(iter(scenario.trackers_in_use.values()))
     return construction_with_dh_orders(instrument.construction, instrument.harmonics, instrument.degree)
 
 
 def planned_construction(scenario: Scenario) -> GeometricErrorModel:
-    """Instrument model for the planning of a scenario, whose parameters the planned measurements have to determine.
+    """Geometric error model whose parameters the measurements planned from a scenario have to determine.
 
-    For a Denavit-Hartenberg chain with 78 parameters, the misalignment model with 16 parameters replaces the chain. A
-    scenario with ranges alone has only the parameters that change ranges.
+    If the scenario simulates a Denavit-Hartenberg chain with 78 parameters, the misalignment model with 16 parameters
+    replaces it. A scenario with ranges alone has only the parameters that change ranges.
     """
     built = make_scenario_construction(scenario)
     if built.name == "steering-mirror":
@@ -67,7 +67,7 @@ def _tracker_error_distribution(
 
 
 def true_noise_sigmas(scenario: Scenario, sightings: Sightings) -> Floats:
-    """True standard deviations of the readings, (pointings, 3) [m, rad, rad]: specified ones times `noise_factor`."""
+    """True standard deviations of the readings, (pointings, 3) [m, rad, rad]: specified values times `noise_factor`."""
     trackers = scenario.trackers_in_use.values()
     factor = np.array([tracker.noise_factor for tracker in trackers])[sightings.instrument]
     noise = [tracker.noise for tracker in trackers]

@@ -49,7 +49,7 @@ ALWAYS_WRITTEN_KEYS = (
 )  # fmt: skip
 """Keys that are written to a scenario file even if they have their default values."""
 KEY_REMOVAL_VALUE = "none"
-"""Value that removes a key from a scenario, as in ``gauge = "none"``."""
+"""Value that removes a key which the built-in base scenario sets, as in ``gauge = "none"``."""
 
 
 class Scenario(TomlSection, Result):
@@ -60,8 +60,8 @@ class Scenario(TomlSection, Result):
     title: str = ""
     """Title of the scenario, free text."""
     base: str | None = None
-    """Built-in scenario that supplies missing tables and keys; the value "none" for a key removes that of the scenario.
-    """
+    """Built-in scenario that supplies missing tables and keys; a key with the value "none" removes the key of this
+    built-in scenario."""
     workshop: Workshop = Workshop()
     """Hall, air and obstacles."""
     placing: PlacingSigmas = PlacingSigmas()
@@ -69,17 +69,17 @@ class Scenario(TomlSection, Result):
     instrument: ScenarioInstrument = ScenarioInstrument()
     """Tracker of all stations that name no tracker."""
     instruments: dict[str, ScenarioInstrument] = Field(default_factory=dict)
-    """Trackers with names, tables `[instruments.NAME]`, which stations refer to; all have the same instrument model."""
+    """Trackers by the name to which stations refer, tables `[instruments.NAME]`; all have the same `construction`."""
     smr: Smr = Smr()
     """Orientation and range error of the reflectors."""
     reflectors: dict[str, Reflector] = Field(default_factory=dict)
     """SMRs with individual radii, tables `[reflectors.NAME]`; each target or station names one of them. An SMR whose
-    radius differs from the reference radius is displaced along the normal of its nest. True radii are drawn."""
+    radius differs from the reference radius is displaced along the normal of its nest. The true radius is drawn."""
     reference_radius_mm: NonNegative | None = None
     """Radius of the SMR whose centre the planned positions describe; 0 if they describe the nest seats. The recording's
     `setup.toml` contains a copy."""
     cmm: CoordinateMeasuringMachine = CoordinateMeasuringMachine()
-    """Coordinate measuring machine that calibrated the gauge."""
+    """Coordinate measuring machine that calibrated the gauge (frame of reflectors at known distances)."""
     work: MeasurementProcedure = MeasurementProcedure()
     """Order and timing of the measurements."""
     gauge: ScenarioGauge | None = None
@@ -148,8 +148,8 @@ def validate_scenario(tables: Mapping[str, Any], file: Path) -> Scenario:
 def change_scenario(scenario: Scenario, changes: Mapping[str, Any], file: Path, error_location: str = "") -> Scenario:
     """Validated scenario with new values `changes` by dotted key; errors name `file` and `error_location`.
 
-    A new `preset` of a tracker also sets the noise, prior and limits of the tracker. InputError is raised for an
-    invalid key or value.
+    A new `preset` of a tracker also sets the noise, the prior of the instrument errors, and the limits of the tracker.
+    InputError is raised for an invalid key or value.
     """
     # Validated twice: the tables with the changes, and the file that would be written from the result.
     table = scenario.model_dump(mode="json", by_alias=True, exclude_none=True)
@@ -252,7 +252,7 @@ def _with_reduced_network(scenario: Scenario, file: Path) -> Scenario:
 
 
 def _effects_of_network(effects: Sequence[EffectEntry], stations: set[str], targets: set[str]) -> Iterator[EffectEntry]:
-    """Effects restricted to the remaining `stations` and `targets`, without those that act at none of them."""
+    """Effects restricted to the remaining `stations` and `targets`, without effects that act at none of these."""
     for entry in effects:
         here = tuple(name for name in entry.stations if name in stations)
         at = tuple(name for name in entry.targets if name in targets)

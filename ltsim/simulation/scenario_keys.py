@@ -13,7 +13,7 @@ from ltsim.simulation.scenario import Scenario
 KeyValueType = Literal["number", "integer", "boolean", "string", "table"]
 """Type of the value of a scenario key."""
 SCALAR_VALUE_TYPES: tuple[KeyValueType, ...] = ("number", "integer", "boolean", "string")
-"""Types of the values that are not tables."""
+"""Types of the values of scenario keys that are not tables."""
 
 
 def value_type_of_key(dotted_key: str) -> KeyValueType:
@@ -37,7 +37,7 @@ def _schema_type(schema_node: dict[str, Any]) -> str:
 
 
 def unit_of_scenario_key(scenario: Scenario, dotted_key: str) -> str:
-    """Unit of the value of a dotted key, from its ending (`_mm`) or from the parameter that it names; else ''."""
+    """Unit of the value of a dotted key, from its ending (`_mm`) or from the parameter in it; '' without a unit."""
     *parents, last = dotted_key.split(".")
     try:
         if parents[-1:] == ["errors"] or parents[-2:] == ["prior", "parameters"]:

@@ -28,14 +28,15 @@ from ltsim.recordings.specification import data_sheet_names
 AngleDegrees = Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]
 """Rotation or direction [deg]."""
 LengthSigma = Annotated[float, Field(ge=1e3 * MIN_SIGMA, le=1e9, allow_inf_nan=False)]
-"""Standard deviation of a reference length [um]; its smallest permitted value is the one for a set-up file."""
+"""Standard deviation [um] of a reference length, at least the smallest value that a set-up file may contain."""
 Percentage = Annotated[float, Field(ge=0, le=100, allow_inf_nan=False)]
 """Percentage, 0 to 100."""
 Celsius = Annotated[float, Field(ge=-60, le=80, allow_inf_nan=False)]
 """Temperature [deg C] of a hall or of a reference length."""
 
 PAPER_PRIOR = Prior(range_scale_ppm=1.4, range_offset_mm=0.007, angle_arcsec=2.0, offset_mm=0.014)
-"""Prior of the tracker of Sensors 2021, 21, 7479, with which the criteria before calibration resemble its Table 3."""
+"""Prior standard deviations of the instrument errors of the tracker in Sensors 2021, 21, 7479. With these values the
+simulated disagreement of the stations before calibration resembles Table 3 of the paper."""
 
 TRACKER_PRESETS: MappingProxyType[str, dict[str, Any]] = MappingProxyType(
     {
@@ -50,10 +51,10 @@ TRACKER_PRESETS: MappingProxyType[str, dict[str, Any]] = MappingProxyType(
         },
     }
 )
-"""Named instruments, as changes of the defaults below. `paper`: the tracker of Sensors 2021, 21, 7479; its angle noise
-is half of the specified 3.5 um/m across the beam, its ADM better than 15 um. `modern`: a current tracker with half of
-its maker's limits and the measuring range of a FARO Vantage E (0.1 to 35 m, rated conditions of its calibration
-certificates). `after-transport`: `paper` after a mechanical shock."""
+"""Values of the table `[instrument]` that differ from its defaults, by name of the preset. `paper`: the tracker of
+Sensors 2021, 21, 7479; its angle noise is half of the specified 3.5 um/m across the beam, its ADM better than 15 um.
+`modern`: a current tracker with half of its maker's limits and the measuring range of a FARO Vantage E (0.1 to 35 m,
+rated conditions of its calibration certificates). `after-transport`: `paper` after a mechanical shock."""
 
 
 def _existing_preset(preset_name: str) -> str:
@@ -66,14 +67,14 @@ class Obstacle(TomlSection):
     """Obstacle in the workshop: a CAD file, a box, or an upright cylinder, at a position in the hall."""
 
     name: str = ""
-    """Name in messages and pictures."""
+    """Name of the obstacle in messages and pictures."""
     file: str | None = None
     """Path of an STL, OBJ, PLY, GLB, glTF, STEP or IGES file, relative to the scenario's folder."""
     unit: Literal["mm", "m", "in"] | None = None
-    """Unit of the file's coordinates; default metres for glTF, the declared unit for STEP and IGES, else millimetres.
-    """
+    """Unit of the CAD file's coordinates; default metres for glTF, the declared unit for STEP and IGES, else
+    millimetres."""
     up: Literal["y", "z"] | None = None
-    """Vertical axis of the file; default y for glTF, else z."""
+    """Axis of the CAD file that points up; default y for glTF, else z."""
     beyond_room: bool = False
     """True if the obstacle may extend beyond the hall or below its floor; if false, an obstacle outside is an error."""
     box_mm: tuple[Positive, Positive, Positive] | None = None
@@ -83,12 +84,12 @@ class Obstacle(TomlSection):
     position_mm: Vector = (0.0, 0.0, 0.0)
     """Position of the CAD file's origin; for a box or cylinder, position of the centre of its base."""
     yaw_deg: AngleDegrees = 0.0
-    """Rotation of the obstacle about the vertical."""
+    """Rotation of the obstacle's axes against those of the hall about the vertical, counter-clockwise from above."""
 
     @model_validator(mode="after")
     def _check_single_shape(self) -> Self:
         if sum(shape is not None for shape in (self.file, self.box_mm, self.cylinder_mm)) != 1:
-            raise ValueError("it should have one of file, box_mm and cylinder_mm")
+            raise ValueError("an obstacle should have exactly one of file, box_mm and cylinder_mm")
         return self
 
 
@@ -152,12 +153,12 @@ class PointingLimits(ElevationLimits):
     @model_validator(mode="after")
     def _check_limit_order(self) -> Self:
         if self.range_min_mm >= self.range_max_mm:
-            raise ValueError("it should have range_min_mm below range_max_mm")
+            raise ValueError("range_min_mm should be below range_max_mm")
         return self
 
 
 class ScenarioInstrument(TomlSection):
-    """Tracker: design, specification and true errors."""
+    """Tracker in a scenario: design, specification and true errors."""
 
     preset: Annotated[str, AfterValidator(_existing_preset)] = "paper"
     """Source of the default values of this table: `paper`, `modern`, `after-transport`, or the name of a built-in data
@@ -178,7 +179,7 @@ class ScenarioInstrument(TomlSection):
     resolution: Resolution = Resolution()
     """Steps to which the readings are rounded."""
     prior: Prior = PAPER_PRIOR
-    """Specified standard deviations of the instrument's errors; true errors are drawn with these."""
+    """Specified (prior) standard deviations of the instrument's errors; times `error_factor` for drawn true errors."""
     limits: PointingLimits = PointingLimits()
     """Limits of elevation and range within which the tracker can point."""
     observables: Annotated[tuple[Literal["distance", "azimuth", "elevation"], ...], Field(min_length=1)] = (
@@ -188,19 +189,17 @@ class ScenarioInstrument(TomlSection):
     )
     """Observables of each pointing; `["distance"]` alone is multilateration."""
     errors: dict[str, StrictBool | Finite] = Field(default_factory=dict)
-    """True errors by parameter name, in display units (`ltsim effects`); `draw = true` draws the errors not given here.
-    """
+    """True errors by parameter name, in the units that `ltsim effects` lists; `draw = true` draws all other errors."""
     error_factor: NonNegative = 1.0
-    """Factor on the standard deviations of `prior` with which the true errors are drawn."""
+    """Ratio of the standard deviations with which the true errors are drawn to those in `prior`."""
     prior_factor: Positive = 1.0
-    """Factor on the standard deviations of `prior` as the recording declares them; another value than 1 is a wrong
-    prior."""
+    """Ratio of the standard deviations that the recording declares to those in `prior`; not 1 for a wrong prior."""
 
     @model_validator(mode="after")
     def _check_error_value_types(self) -> Self:
         for name, value in self.errors.items():
             if isinstance(value, bool) != (name == "draw"):
-                raise ValueError("it should have numbers, and true or false only for draw")
+                raise ValueError("errors should be numbers; only the entry draw is true or false")
         return self
 
     @property
@@ -213,7 +212,8 @@ class Smr(TomlSection):
     """Reflectors: orientation of their nests, and their range error as a function of the incidence angle."""
 
     nest_orientation: Literal["re-aimed", "fixed"] = "re-aimed"
-    """Orientation of the nests: re-aimed at each station before its pointings, or fixed."""
+    """Orientation of the nests: turned towards each station in turn (`re-aimed`), or equal for all stations
+    (`fixed`)."""
     acceptance_deg: Annotated[float, Field(gt=0, le=90)] = 30.0
     """Largest incidence angle at which the reflector returns the beam."""
     reflector: str | None = None
@@ -223,9 +223,9 @@ class Smr(TomlSection):
     range_error_table_um: Annotated[
         tuple[Finite, ...], Field(min_length=len(INCIDENCE_TABLE_ANGLES), max_length=len(INCIDENCE_TABLE_ANGLES))
     ] = tuple(round(x / MICROMETRE, 6) for x in PAPER_INCIDENCE_RANGE_ERRORS)
-    """Range errors at the incidence angles -30, -22.5, ... +30 deg (nine values)."""
+    """Range errors (reading minus true range) at the incidence angles -30, -22.5, ... +30 deg (nine values)."""
     direction_deg: AngleDegrees = 0.0
-    """Direction in which the incidence angles of the table are positive, as a rotation about the nest's normal."""
+    """Direction, around the nest's normal, of positive incidence angles in the table: 0 horizontal, 90 upward."""
 
 
 class CoordinateMeasuringMachine(TomlSection):
@@ -280,27 +280,27 @@ class GaugeLength(TomlSection):
 class ScenarioGauge(TomlSection):
     """Gauge, a rigid frame of reflectors at known distances: its lengths and its pose in the hall.
 
-    By default it is the gauge of Sensors 2021, 21, 7479 (Table 2). The x and y axes of the frame are along its two
-    longest extents. The frame is rotated by roll, pitch and yaw in this order.
+    By default the gauge is that of Sensors 2021, 21, 7479 (Table 2). The x and y axes of the frame are along the two
+    longest extents of the gauge. The frame is rotated by roll, pitch and yaw in this order.
     """
 
     targets: tuple[str, ...] = ("T25", "T26", "T27", "T28")
     """Names of the reflectors of the gauge (rigid frame of reflectors at known distances)."""
     table_reading_order: Literal["columns", "rows"] = "columns"
-    """Order in which Table 2 of Sensors 2021, 21, 7479 is read, because the printed table is misaligned."""
+    """Order in which Table 2 of Sensors 2021, 21, 7479 is read; the printed table is misaligned and permits both."""
     distance: tuple[GaugeLength, ...] = ()
     """Lengths that determine the gauge's shape, tables `[[gauge.distance]]`; default the lengths of Sensors 2021, 21,
     7479."""
     position_mm: Vector
     """Planned position of the centre of the gauge in the hall."""
     yaw_deg: AngleDegrees = 0.0
-    """Rotation of the gauge about the z axis of the hall, after `roll_deg` and `pitch_deg`."""
+    """Right-handed rotation of the gauge about the z axis of the hall, after `roll_deg` and `pitch_deg`."""
     pitch_deg: AngleDegrees = 0.0
-    """Rotation of the gauge about the y axis of the hall, after `roll_deg` and before `yaw_deg`."""
+    """Right-handed rotation of the gauge about the y axis of the hall, after `roll_deg` and before `yaw_deg`."""
     roll_deg: AngleDegrees = 0.0
-    """Rotation of the gauge about the x axis of the hall, before `pitch_deg` and `yaw_deg`."""
+    """Right-handed rotation of the gauge about the x axis of the hall, before `pitch_deg` and `yaw_deg`."""
     nest_normal: Vector | None = None
-    """Normal of the fixed nests of the gauge, in the axes of the hall."""
+    """Normal of the fixed nests of the gauge, pointing outwards, in the axes of the hall."""
     calibrated_at_c: Celsius = 20.0
     """Temperature at which the gauge was calibrated."""
     measured_at_c: Celsius | None = None
@@ -309,15 +309,15 @@ class ScenarioGauge(TomlSection):
     expansion_per_k: Finite = 23.2e-6
     """Coefficient of thermal expansion of the gauge, as the recording declares it."""
     sigma_expansion_per_k: NonNegative | None = None
-    """Standard deviation of the declared expansion coefficient; the true coefficient is drawn with it."""
+    """Standard deviation of the true minus the declared expansion coefficient."""
     sigma_temperature_k: NonNegative | None = None
-    """Standard deviation of the declared temperature of the gauge; the true temperature is drawn with it."""
+    """Standard deviation of the true minus the declared temperature of the gauge."""
     sigma_um: LengthSigma | None = None
-    """Standard deviation of each length; default by the maximum permissible error of the measuring machine."""
+    """Standard deviation of each certified length; default from the maximum permissible error in the table `[cmm]`."""
 
 
 class ReferenceLengthEntry(LengthMaterialAndTemperature):
-    """Reference length between reflectors off the gauge: a scale bar, or a length from an interferometer."""
+    """Reference length between reflectors that are not on the gauge: a scale bar, or an interferometer length."""
 
     from_: str = Field(alias="from")
     """Reflector at the first end."""
@@ -333,11 +333,11 @@ class PlannedStation(TomlSection):
     position_mm: Vector
     """Planned position of the head."""
     yaw_deg: AngleDegrees
-    """Planned direction of azimuth zero, counter-clockwise from the x axis."""
+    """Planned direction of azimuth zero, counter-clockwise (seen from above) from the x axis of the hall."""
     roll_deg: AngleDegrees = 0.0
-    """Planned rotation about the x axis of the hall, before `pitch_deg` and `yaw_deg`."""
+    """Planned right-handed rotation about the x axis of the hall, before `pitch_deg` and `yaw_deg`."""
     pitch_deg: AngleDegrees = 0.0
-    """Planned rotation about the y axis of the hall, after `roll_deg` and before `yaw_deg`."""
+    """Planned right-handed rotation about the y axis of the hall, after `roll_deg` and before `yaw_deg`."""
     levelled: bool = False
     """True if the tracker's standing axis is levelled to the vertical."""
     levelling_sigma_arcsec: Positive = 1.0
@@ -345,7 +345,7 @@ class PlannedStation(TomlSection):
     instrument: str | None = None
     """Name of the tracker at this station, a table `[instruments.NAME]`; default `[instrument]`."""
     reflector: str | None = None
-    """Name of the SMR that measures all targets from this station; default the SMR of each target."""
+    """Name of the SMR with which all targets are measured from this station; default the SMR of each target."""
 
 
 class PlannedTarget(TomlSection):
@@ -354,15 +354,15 @@ class PlannedTarget(TomlSection):
     position_mm: Vector
     """Planned position of the reflector's centre."""
     nest_normal: Vector | None = None
-    """Normal of the target's fixed nest; default the direction to the centre of the stations."""
+    """Outward normal of the target's fixed nest in the axes of the hall; default towards the centre of the stations."""
     reaimed: bool | None = None
-    """True if the reflector is turned towards each station before it is measured; default by `smr.nest_orientation`."""
+    """True if the reflector is turned towards each station before its pointing; default by `smr.nest_orientation`."""
     reflector: str | None = None
     """Name of the SMR at this target, a table `[reflectors.NAME]`; default `smr.reflector`."""
 
 
 class PlacedEffect(TomlSection):
-    """Effect of the catalogue, with the stations and targets where it acts and with its shape parameters."""
+    """Physical effect with the stations and targets where it acts, and with its shape parameters."""
 
     name: str
     """Name of the effect, as listed by `ltsim effects`."""
@@ -371,8 +371,8 @@ class PlacedEffect(TomlSection):
     targets: DistinctValues[str] = ()
     """Names of the targets where the effect acts; empty for all."""
     shape: dict[str, Finite | str | tuple[Finite, ...]] = Field(default_factory=dict)
-    """Shape parameters of the effect (period, time constant, onset time) by name; in display units if the effect
-    declares them, otherwise in SI units."""
+    """Shape parameters of the effect (period, time constant, onset time) by name; in the units that `ltsim effects`
+    lists, or in SI units for a parameter without a listed unit."""
 
     def effect(self, error_location: str) -> Effect:
         """Effect object of this entry; InputError beginning with `error_location` for an invalid value."""
@@ -386,9 +386,9 @@ class EffectEntry(PlacedEffect):
     """Effect in a scenario, in addition to the instrument's errors: name, stations, targets and parameter values."""
 
     draw: bool = False
-    """True if the parameters without a given value are drawn from their priors; if false they are 0."""
+    """True if the parameters without a given value are drawn from their prior distributions; if false they are 0."""
     values: dict[str, Finite] = Field(default_factory=dict)
-    """Values of the effect's parameters by name, in display units."""
+    """Values of the effect's parameters by name, in the units that `ltsim effects` lists."""
 
     @classmethod
     def from_effect(cls, source: Effect | SizedEffect) -> Self:

@@ -66,10 +66,10 @@ def measure_trial(
     true_instrument_errors: Floats | None = None,
     stream_key: str = "",
 ) -> tuple[Recording, Truth]:
-    """Recording and true values of a trial at given true positions; instrument errors and noise are drawn.
+    """Recording and true values of a trial at the true positions `geometry`; instrument errors and noise are drawn.
 
-    `true_instrument_errors` (instruments, parameters) [SI] replaces the drawn instrument errors. Another `stream_key`
-    gives the trial independent noise, for a second measurement.
+    `true_instrument_errors` (instruments, parameters) [SI] replaces the drawn instrument errors. Two calls with
+    different `stream_key` give the trial independent noise, for a second measurement.
     """
     blank = error_free_recording(geometry)
     given = None if true_instrument_errors is None else true_instrument_errors[:, :, None]
@@ -186,7 +186,7 @@ def _ineffective_reason(geometry: MeasurementGeometry, lengths: ReferenceLengths
 
 
 def _declared_setup(geometry: MeasurementGeometry) -> Setup:
-    """Set-up file of the recording: what the simulated user declares about instruments, stations and targets."""
+    """Content of the recording's set-up file: declared instruments, stations, targets and reference lengths."""
     scenario, step = geometry.scenario, geometry.scenario.placing
     stations = {
         name: Station(
@@ -211,7 +211,7 @@ def _declared_setup(geometry: MeasurementGeometry) -> Setup:
 
 
 def _data_sheet(tracker: ScenarioInstrument) -> Instrument:
-    """Declared noise, prior and limits of a tracker."""
+    """Declared noise, prior of the instrument errors, and limits of a tracker."""
     return Instrument(
         construction="steering-mirror" if tracker.construction == "steering-mirror" else "source-in-head",
         corrected=tracker.corrected,
@@ -306,7 +306,7 @@ def with_exact_reference_lengths(recording: Recording, geometry: MeasurementGeom
 
 
 def _declared_reference_lengths(scenario: Scenario) -> Iterator[tuple[GaugeDistance, float | None]]:
-    """Declaration of each reference length (gauge and scale bars), and its declared standard deviation [um] or None.
+    """Declaration of each reference length (gauge and scale bars), and its standard deviation [um]; None if undeclared.
 
     The lengths are placeholders of 1 mm.
     """

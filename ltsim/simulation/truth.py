@@ -41,7 +41,7 @@ class AppliedEffect(ValueEquality):
     """Effect that was applied in a simulation, with the true values of its parameters."""
 
     effect: Effect
-    """Effect of the catalogue, with the stations and targets where it acts."""
+    """Physical effect, with the stations and targets where it acts."""
     parameter_values: Floats
     """True values of the parameters of the effect, shape (parameters,) [SI]."""
 
@@ -61,8 +61,8 @@ class TruthArrays(ValueEquality):
     effects: tuple[AppliedEffect, ...] = ()
     """Effects that the simulation applied, in addition to the instrument's parameters."""
     nominal_points: Floats | None = None
-    """Coordinates of the targets as measured by a coordinate measuring machine, shape (targets, 3) [m]; None without
-    one."""
+    """Coordinates of the targets as measured by a coordinate measuring machine, shape (targets, 3) [m]; None if the
+    scenario has no such machine."""
 
 
 def _checked_unit(unit: str) -> str:
@@ -119,17 +119,17 @@ class TrueInstrumentValue(TrueParameterValue):
 
 
 class TrueEffect(Entry):
-    """Entry of a truth file for an effect of the catalogue that the simulation applied."""
+    """Entry of a truth file for a physical effect that the simulation applied."""
 
     name: str = Field(alias="effect")
-    """Name of the effect in the catalogue."""
+    """Name of the effect, as listed by `ltsim effects`."""
     stations: tuple[str, ...] = ()
     """Names of the stations where the effect acts; empty for all."""
     targets: tuple[str, ...] = ()
     """Names of the targets where the effect acts; empty for all."""
     shape: dict[str, Finite | str | tuple[Finite, ...]] = Field(default_factory=dict)
-    """Shape parameters of the effect (period, time constant, onset time) by name; in display units if the effect
-    declares them, otherwise in SI units."""
+    """Shape parameters of the effect (period, time constant, onset time) by name; in the units that `ltsim effects`
+    lists, or in SI units for a parameter without a listed unit."""
     parameters: tuple[TrueParameterValue, ...] = ()
     """True values of the parameters of the effect."""
 

@@ -32,6 +32,7 @@ def scenario(source: ScenarioSource, changes: Mapping[str, Any] | None = None) -
     Parameters
     ----------
     source : Scenario, str or Path
+        Scenario, its file, or the name of a built-in scenario.
     changes : mapping of str to value, optional
         New values by dotted key, as in the file: ``{"instrument.noise_factor": 2.0}``; "none" removes a key. Effects
         can be objects, whose sizes are drawn: ``{"effects": [lt.Effect("index-drift", stations="S3")]}``.
@@ -67,6 +68,7 @@ def simulate(
     Parameters
     ----------
     source : Scenario, str or Path
+        Scenario, its file, or the name of a built-in scenario.
     seed : int
         Seed of all random draws: equal seed and trial give the same recording.
     trial : int
@@ -86,7 +88,7 @@ def simulate(
     Raises
     ------
     InputError
-        When the scenario asks for something impossible.
+        When the scenario is impossible, for example if a station sees no target.
 
     Examples
     --------

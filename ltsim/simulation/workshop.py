@@ -35,8 +35,8 @@ PAPER_GAUGE_LENGTHS_MM = MappingProxyType(
 target pairs are 25-26, 25-27, 25-28, 26-27, 26-28 and 27-28. The keys are the values of
 `ScenarioGauge.table_reading_order`."""
 MAX_GAUGE_LENGTH_DIFFERENCE = 1e-7
-"""Largest difference [m] between a declared length of a gauge and the length of the rigid frame fitted to all of them.
-If it is exceeded, the declared lengths contradict each other."""
+"""Largest difference [m] between a declared length of a gauge and the length in the rigid frame that is fitted to all
+declared lengths. A larger difference means that the declared lengths contradict each other."""
 
 
 @dataclass(frozen=True)
@@ -157,8 +157,9 @@ def measure_points_by_cmm(
     """Coordinates (targets, 3) [m] that a coordinate measuring machine measures, from the true `points`.
 
     The maximum permissible error of a length L is A + L / K. The part A is a random error with half of its variance at
-    each end of the length. The part L / K is a scale error of each axis. `names` are the targets, `stream_key` is the
-    key of the random draws.
+    each end of the length. The part L / K is a scale error of each axis. A and K are `constant_um` and
+    `length_divisor_mm` of `measuring_machine`. `names` are the targets. `seed` and `stream_key` determine the random
+    errors.
     """
     random = measuring_machine.constant_um * MICROMETRE / measuring_machine.coverage_factor / np.sqrt(2.0)
     scale = MICROMETRE / MILLIMETRE / measuring_machine.length_divisor_mm / measuring_machine.coverage_factor
@@ -335,7 +336,8 @@ def _implausible_position_message(
 def make_visibility(scenario: Scenario, workshop_layout: WorkshopLayout | None = None) -> Visibility:
     """Visibility of the targets from each station, within the limits of each tracker.
 
-    `workshop_layout` gives the positions; by default it is the planned layout.
+    `workshop_layout` contains the poses of the stations and the positions of the targets, by default the planned
+    layout.
     """
     there = planned_layout(scenario) if workshop_layout is None else workshop_layout
     obstacles = make_obstacles(scenario)

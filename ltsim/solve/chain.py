@@ -22,10 +22,12 @@ MAX_SINGLE_BLOCK_COLUMNS = 240
 saves."""
 MIN_BORDER_TO_MEDIAN_COLUMN_ENTRIES = 2.0
 """Number of non-zero entries of a column, divided by the median over all columns, above which the column belongs to the
-border of the chain. Columns of stations differ little: in a ring of 210 set-ups by four trackers they have 0.8 to 1.2
-times the median, and the instrument parameters, each of which acts on the set-ups of one tracker, 4.7 times."""
+border of a chain of blocks (columns coupled with many blocks). Columns of stations differ little: in a ring of 210
+set-ups by four trackers they have 0.8 to 1.2 times the median, and the instrument parameters, each of which acts on the
+set-ups of one tracker, 4.7 times."""
 MIN_BLOCK_COLUMNS = 48
-"""Smallest number of columns of a block of the chain. With smaller blocks function calls cost more than arithmetic."""
+"""Smallest number of columns of a block of a chain, in which each block is coupled with its neighbours only. With
+smaller blocks function calls cost more than arithmetic."""
 
 INVERSE_COLUMNS_PER_BATCH = 512
 """Number of columns of a complete inverse that are computed at a time, to limit the memory for temporary matrices."""
@@ -34,7 +36,8 @@ INVERSE_COLUMNS_PER_BATCH = 512
 def chain_order_and_block_limits(matrix: sp.csr_array) -> tuple[Ints, Ints]:
     """Order (K,) in which K columns of a symmetric matrix form a chain of b blocks and a border, and limits (b + 2,).
 
-    In this order block i has the positions from limit i to before limit i + 1. The border is last.
+    Each block of the chain is coupled only with its neighbours and with the border. In this order block i has the
+    positions from limit i to before limit i + 1. The border is last.
     """
     n_unknowns = matrix.shape[0]
     single_block = np.arange(n_unknowns), np.array([0, n_unknowns, n_unknowns])
@@ -64,13 +67,14 @@ class InverseSubmatrix:
     """Position in the submatrix of each of the K columns of the whole matrix, (K,); -1 for columns outside the
     submatrix."""
     inverse: Floats
-    """Submatrix (w, w) of the inverse matrix."""
+    """Submatrix (w, w) of the inverse matrix, for w of its columns."""
 
 
 class BlockChainFactor:
     """Cholesky factor of a positive definite sparse matrix, ordered as a chain of blocks and a dense border.
 
-    Raises LinAlgError if the matrix is not positive definite.
+    Each block is coupled only with its neighbours and with the border. Raises LinAlgError if the matrix is not positive
+    definite.
 
     Parameters
     ----------
@@ -114,7 +118,7 @@ class BlockChainFactor:
 
     @property
     def n_blocks(self) -> int:
-        """Number of blocks of the chain, without the border."""
+        """Number of blocks of the chain (each coupled with its neighbours only), without the border."""
         return len(self._diagonal_factors)
 
     @property

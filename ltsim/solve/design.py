@@ -152,7 +152,8 @@ def scale_to_unit_diagonal(symmetric_matrices: Floats, diagonals: Floats) -> tup
 def cholesky_where_determined(normal_matrices: Floats) -> tuple[Floats, Bools]:
     """Lower Cholesky factors (b, k, k) of b normal matrices with unit diagonal, and flags (b,), True for regular ones.
 
-    Factors of singular matrices are NaN. Eigenvalues decide on matrices with a pivot below `MIN_RELIABLE_PIVOT`.
+    Factors of singular matrices are NaN. Matrices with a pivot below `MIN_RELIABLE_PIVOT` count as regular or singular
+    by their eigenvalues.
     """
     try:
         roots: Floats = np.asarray(np.linalg.cholesky(normal_matrices), dtype=np.float64)

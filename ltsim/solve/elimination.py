@@ -79,7 +79,7 @@ class DenseElimination:
 
     @cached_property
     def inverse_blocks_and_leverage(self) -> tuple[Floats, Floats]:
-        """Parts (E, 3, 3) of the inverse normal matrix for E eliminated blocks, and leverages (m,) of m rows."""
+        """Parts (E, 3, 3) of the inverse normal matrix for E eliminated blocks of three unknowns; leverages (m,)."""
         block_indices = np.arange(self._n_retained, len(self._cholesky_factor)).reshape(-1, 3)
         scaled_rows = (self._design * self.column_scales).T
         whitened = scipy.linalg.solve_triangular(self._cholesky_factor, scaled_rows, lower=True, check_finite=False)
@@ -97,9 +97,9 @@ class DenseElimination:
 
 
 class SparseElimination:
-    """Factorised normal equations of a large system, with sparse matrices; parameters as for `DenseElimination`.
+    """Factorised normal equations of a large system, with sparse matrices and the parameters of `DenseElimination`.
 
-    The Schur complement is arranged as a chain of blocks (`solve.chain`) if its structure permits.
+    The columns are K retained ones, then E blocks of three. The Schur complement is a chain of blocks if possible.
     """
 
     def __init__(self, design: sp.csr_array, n_retained: int, damping: float) -> None:
@@ -118,7 +118,7 @@ class SparseElimination:
 
     @property
     def smallest_pivot(self) -> float:
-        """Smallest pivot of the Cholesky factorisations of the eliminated blocks and of the Schur complement."""
+        """Smallest pivot of the Cholesky factorisations of eliminated blocks (unknowns) and of the Schur complement."""
         return min(self._smallest_block_pivot, self._schur_factor.smallest_pivot)
 
     def solve(self, right_hand_sides: Floats) -> Floats:
@@ -149,14 +149,14 @@ class SparseElimination:
         return inverses
 
     def _first_chain_block(self, columns: Ints, axis: int) -> Ints:
-        """Index of the first block of the chain that contains a column of a set; sets of `columns` are along `axis`."""
+        """First block of the Schur complement's chain with a column of each set; sets of `columns` are along `axis`."""
         return np.asarray(
             self._schur_factor.block_of_column[columns].min(axis=axis, initial=self._schur_factor.n_blocks - 1)
         )
 
     @cached_property
     def inverse_blocks_and_leverage(self) -> tuple[Floats, Floats]:
-        """Parts (E, 3, 3) of the inverse normal matrix for E eliminated blocks, and leverages (m,) of m rows.
+        """Parts (E, 3, 3) of the inverse normal matrix for E eliminated blocks of three unknowns, and leverages (m,).
 
         Rows with entries in the same eliminated block are processed together, because all columns that this block
         couples are in one `InverseSubmatrix`. Rows without entries in eliminated blocks are processed singly.
@@ -186,7 +186,7 @@ class SparseElimination:
         return blocks, leverage
 
     def covariances_of_functions(self, function_rows: sp.csr_array, group_boundaries: Ints) -> Iterator[Floats]:
-        """Covariances R N^-1 R' of groups R of linear functions, as `DenseElimination.covariances_of_functions`."""
+        """Covariances R N^-1 R' of groups R of functions, limited by `group_boundaries`; N is the normal matrix."""
         function_rows = scale_columns(function_rows, self.column_scales)
         back = sp.csr_array(function_rows[:, self._n_retained :])
         reduced = sp.csr_array(function_rows[:, : self._n_retained] - back @ self._elimination_coefficients.T)
@@ -346,7 +346,7 @@ class FactorisedNormals:
         return float(image @ image)
 
     def step(self, residual: Floats | None = None) -> Floats:
-        """Damped change (K + 3 E,) of the unknowns that fits whitened residuals (m,); default those of the system."""
+        """Damped change (K + 3 E,) of the unknowns that fits whitened residuals (m,); None for those of the system."""
         right_side = self._system.design.T @ (self._system.whitened_residuals if residual is None else residual)
         return self.multiply_by_covariance(right_side[:, None])[:, 0]
 

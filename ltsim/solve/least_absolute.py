@@ -16,16 +16,19 @@ N_REWEIGHTING_PASSES = 12
 """Number of passes of reweighted least squares that compute the start values of a least-absolute-deviations solution.
 The lower bound on residuals decreases from pass to pass, from the median absolute residual to a hundredth of it."""
 CANDIDATE_ROWS_PER_UNKNOWN = 8
-"""Number of rows of the design matrix from which the zero residuals of the first vertex are selected, divided by the
-number of unknowns. The rows with the smallest residuals are used."""
+"""Number of rows of the design matrix from which the zero residuals of the first vertex (solution with as many zero
+residuals as unknowns) are selected, divided by the number of unknowns. The rows with the smallest residuals are
+used."""
 RELATIVE_DATA_PERTURBATION = 1e-6
 """Size of a perturbation of the observations, divided by the median absolute residual. Without the perturbation a
-vertex may have more zero residuals than there are unknowns, and the descent could cycle there."""
+solution may have more zero residuals than there are unknowns, and the descent could then repeat the same solutions
+without end."""
 MAX_DESCENT_EDGES = 2000
-"""Largest number of edges of one descent from vertex to vertex; after them the solver raises NetworkError."""
+"""Largest number of edges of one descent from vertex to vertex (solutions with as many zero residuals as unknowns). An
+edge exchanges one zero residual. After so many edges the solver raises NetworkError."""
 ZERO_SLOPE_TOLERANCE = 1e-9
-"""Largest relative slope of the sum of absolute residuals along an edge that counts as zero (rounding error). If no
-edge has a larger slope, the vertex is optimal."""
+"""Largest relative slope of the sum of absolute residuals along an edge (exchange of one zero residual) that counts as
+zero (rounding error). If no edge has a larger slope, the solution is optimal."""
 
 
 def solve_least_absolute(design: Floats, observations: Floats, *, start_solution: Floats | None = None) -> Floats:
@@ -61,9 +64,10 @@ def solve_least_absolute(design: Floats, observations: Floats, *, start_solution
 
 
 def _optimal_vertex(design: Floats, observations: Floats, start_solution: Floats) -> Ints:
-    """Indices (k,) of the k rows with zero residual at the optimal vertex, by descent along the steepest edges.
+    """Indices (k,) of the k rows with zero residual in the optimal solution, by exchange of one row at a time.
 
-    `start_solution` (k,) contains the values of the unknowns near which the first vertex is selected.
+    `start_solution` (k,) contains the values of the unknowns near which the first solution with k zero residuals is
+    selected.
     """
     vertex_rows = _first_vertex(design, observations, start_solution)
     for _ in range(MAX_DESCENT_EDGES):
@@ -84,7 +88,10 @@ def _optimal_vertex(design: Floats, observations: Floats, start_solution: Floats
 
 
 def _first_vertex(design: Floats, observations: Floats, start_solution: Floats) -> Ints:
-    """Indices (k,) of k linearly independent rows with small residuals at the values `start_solution` (k,)."""
+    """Indices (k,) of k linearly independent rows with small residuals at the values `start_solution` (k,).
+
+    The first solution of a descent has zero residuals in these rows.
+    """
     residual, count = np.abs(observations - design @ start_solution), design.shape[1]
     order = np.argsort(residual)[: CANDIDATE_ROWS_PER_UNKNOWN * count]
     scaled_design = design[order] / np.maximum(residual[order], residual[order].max() * 1e-6)[:, None]

@@ -20,15 +20,14 @@ from ltsim.solve.design import DesignMatrix, inverse_column_norms, to_dense
 from ltsim.solve.elimination import BlockSystem, FactorisedNormals
 
 MAX_DESIGN_ENTRIES_FOR_BASIS = 2_000_000
-"""Largest number of entries of a design matrix for which the projector onto the residual space uses an orthonormal
-basis of its columns. Above it the factorised normal equations are faster: a diagnosis of 1,200 pointings, whose design
-matrix has 4 million entries, takes 34 to 53 s and 540 MB with a basis, and 28 to 36 s and 330 MB with the normal
-equations.
-"""
+"""Largest number of entries of a design matrix for which the projector onto the residual space (complement of the
+column space) uses an orthonormal basis of its columns. Above it the factorised normal equations are faster: a diagnosis
+of 1,200 pointings, whose design matrix has 4 million entries, takes 34 to 53 s and 540 MB with a basis, and 28 to 36 s
+and 330 MB with the normal equations."""
 MAX_OVERLAP_WITHOUT_REPROJECTION = 1e-10
-"""Largest inner product of a unit vector, projected onto the residual space, and a unit column of the design matrix.
-The product is zero except for rounding errors; if it is larger, the vector is projected again.
-"""
+"""Largest inner product of a unit vector, projected onto the residual space (complement of the column space), and a
+unit column of the design matrix. The product is zero except for rounding errors; if it is larger, the vector is
+projected again."""
 MAX_STORED_BLOCK_ROWS = 150
 """Largest number of rows and columns of a diagonal block of the projection matrix that is computed and stored. A stored
 block saves time if many vectors that are non-zero on the same rows only are projected.
@@ -51,18 +50,25 @@ class BasisResidualProjector:
 
     @classmethod
     def from_design(cls, design: DesignMatrix) -> BasisResidualProjector:
-        """Projector onto the residual space of a whitened design matrix (m, u) with m rows and u columns."""
+        """Projector onto the residual space of a whitened design matrix (m, u) with m rows and u columns.
+
+        The residual space is the orthogonal complement of the columns of the design matrix.
+        """
         return cls(np.linalg.qr(to_dense(design) * inverse_column_norms(design))[0])
 
     def project(self, vectors: Floats) -> Floats:
-        """Projections (m, q) onto the residual space of q `vectors` of m observations (m, q)."""
+        """Projections (m, q) onto the residual space of q `vectors` of m observations (m, q).
+
+        The residual space is the orthogonal complement of the columns of the design matrix.
+        """
         return vectors - self.basis @ (self.basis.T @ vectors)
 
     def gram_matrices(self, columns: Floats, group_boundaries: Ints, row_selection: Ints | slice) -> list[Floats]:
         """Gram matrices (k, k) of groups of k vectors: inner products of their projections onto the residual space.
 
         The q vectors have the entries `columns` (r, q) on the r rows `row_selection`, and zeros on all other rows.
-        Group i has the columns from entry i of `group_boundaries` to before entry i + 1.
+        Group i has the columns from entry i of `group_boundaries` to before entry i + 1. The residual space is the
+        orthogonal complement of the columns of the design matrix.
         """
         full_grams, explained_grams = (
             _group_gram_matrices(columns, group_boundaries),
@@ -84,13 +90,19 @@ class BasisResidualProjector:
             yield _spectrum_from_root(part) if len(rows) > part.shape[1] else np.linalg.eigh(part @ part.T)
 
     def with_removed_columns(self, columns: Floats) -> BasisResidualProjector:
-        """Projector that also removes components along e orthonormal vectors `columns` (m, e) of the residual space."""
+        """Projector that also removes components along e orthonormal vectors `columns` (m, e) of the residual space.
+
+        The residual space is the orthogonal complement of the columns of the design matrix.
+        """
         return BasisResidualProjector(np.hstack([self.basis, columns]))
 
 
 @dataclass(frozen=True)
 class FactorResidualProjector:
-    """Projector onto the residual space, from the factorised normal equations of a sparse design."""
+    """Projector onto the residual space, from the factorised normal equations of a sparse design.
+
+    The residual space is the orthogonal complement of the columns of the design matrix.
+    """
 
     design: sp.csr_array
     """Whitened sparse design matrix (m, u) with m rows and u columns."""
@@ -107,7 +119,10 @@ class FactorResidualProjector:
 
     @classmethod
     def from_design(cls, design: DesignMatrix, normal_equations: FactorisedNormals) -> FactorResidualProjector:
-        """Projector onto the residual space of a whitened design matrix (m, u) with factorised normal equations."""
+        """Projector onto the residual space of a whitened design matrix (m, u) with factorised normal equations.
+
+        The residual space is the orthogonal complement of the columns of the design matrix.
+        """
         design = sp.csr_array(design)
         return cls(
             design,
@@ -118,7 +133,10 @@ class FactorResidualProjector:
         )
 
     def project(self, vectors: Floats) -> Floats:
-        """Projections (m, q) onto the residual space of q `vectors` of m observations (m, q)."""
+        """Projections (m, q) onto the residual space of q `vectors` of m observations (m, q).
+
+        The residual space is the orthogonal complement of the columns of the design matrix.
+        """
         return self._projected_sparse_vectors(vectors, slice(None))
 
     def gram_matrices(self, columns: Floats, group_boundaries: Ints, row_selection: Ints | slice) -> list[Floats]:
@@ -149,7 +167,8 @@ class FactorResidualProjector:
     def _projected_sparse_vectors(self, columns: Floats, rows: Ints | slice) -> Floats:
         """Projections (m, q) onto the residual space of q vectors, with entries `columns` (r, q) on r `rows`, else 0.
 
-        If rounding errors exceed `MAX_OVERLAP_WITHOUT_REPROJECTION`, the result is projected again.
+        If rounding errors exceed `MAX_OVERLAP_WITHOUT_REPROJECTION`, the result is projected again. The residual space
+        is the orthogonal complement of the columns of the design matrix.
         """
         design_products = (
             self._transposed_design if len(columns) == len(self.removed_columns) else self.design[rows].T
@@ -167,7 +186,10 @@ class FactorResidualProjector:
         return residual
 
     def leverage(self) -> Floats:
-        """Diagonal (m,) of the hat matrix, including the part of the `removed_columns`."""
+        """Diagonal (m,) of the hat matrix, including the part of the removed columns.
+
+        The projector also removes components along the removed columns (orthonormal vectors).
+        """
         return self.factor.leverage() + np.einsum("me,me->m", self.removed_columns, self.removed_columns)
 
     def hat_matrix_spectra(self, row_groups: Sequence[Ints]) -> Iterator[tuple[Floats, Floats]]:
@@ -183,9 +205,10 @@ class FactorResidualProjector:
             yield np.linalg.eigh(hat)
 
     def _hat_matrix_blocks(self, row_groups: Sequence[Ints]) -> Iterator[Floats]:
-        """Submatrices (f, f) of the hat matrix, including the `removed_columns`, for each group of f row indices.
+        """Submatrices (f, f) of the hat matrix, with the part of the removed columns, for each group of f rows.
 
-        The cost depends on the number of unknowns in these rows, not on the number of all unknowns.
+        The cost depends on the number of unknowns in these rows, not on the number of all unknowns. The projector also
+        removes components along the removed columns (orthonormal vectors).
         """
         edges = np.cumsum([0, *(len(rows) for rows in row_groups)])
         hats = self.factor.covariances_of_functions(self.design[np.concatenate(row_groups)], edges)
@@ -213,16 +236,20 @@ class FactorResidualProjector:
         return _spectrum_from_root(root) if len(row_indices) > root.shape[1] else np.linalg.eigh(root @ root.T)
 
     def with_removed_columns(self, columns: Floats) -> FactorResidualProjector:
-        """Projector that also removes components along e orthonormal vectors `columns` (m, e) of the residual space."""
+        """Projector that also removes components along e orthonormal vectors `columns` (m, e) of the residual space.
+
+        The residual space is the orthogonal complement of the columns of the design matrix.
+        """
         return replace(self, removed_columns=np.hstack([self.removed_columns, columns]), _stored_blocks={})
 
 
 ResidualProjector: TypeAlias = BasisResidualProjector | FactorResidualProjector
-"""Projector onto the residual space, with an orthonormal basis or with factorised normal equations."""
+"""Projector onto the residual space (complement of the column space), with an orthonormal basis or with factorised
+normal equations."""
 
 
 def make_residual_projector(block_system: BlockSystem, normal_equations: FactorisedNormals | None) -> ResidualProjector:
-    """Projector onto the residual space of a linear system.
+    """Projector onto the residual space (complement of the column space) of a linear system.
 
     It uses an orthonormal basis if the system is small or `normal_equations` is None; otherwise the factorised normal
     equations `normal_equations`.

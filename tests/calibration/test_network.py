@@ -161,7 +161,7 @@ def test_a_range_offset_of_six_prior_sigmas_is_estimated_as_it_is_and_told(make,
         found = calibrate_network(make(truth, faces=(1, 2), trial=seed), recommend_measurements=False)
         told = [note for note in found.notes if "contradict" in note]
         assert told[0].startswith("range-offset: ")
-        assert "declared prior of 10 um: the estimate follows the readings" in told[0]
+        assert "declared prior of 10 um: the readings determine the estimate" in told[0]
         assert found.sigma[0, at] < 5e-6
         off.append((found.estimates[0, at] - 60e-6) / found.sigma[0, at])
         others += len(told) - 1
@@ -202,7 +202,7 @@ def test_a_scale_of_two_corrected_trackers_is_found_under_noise_that_is_stated_t
         assert one.arrays.is_prior_rejected.sum(axis=0)[scale] == 2
         assert one.arrays.is_prior_rejected.sum() == 2
         assert np.max(one.prior_sigma[:, scale]) == pytest.approx(0.6e-6)
-        assert sum("leaves errors of 0.6 ppm: the estimate follows the readings" in note for note in one.notes) == 2
+        assert sum("leaves errors of 0.6 ppm: the readings determine the estimate" in note for note in one.notes) == 2
         assert [round(3 * n.factor) for n in one.noise] == [1, 1, 1]
         found.append((one.estimates[:, scale] - 12e-6) / one.sigma[:, scale])
     assert np.sqrt(np.mean(np.square(found))) < 1.8

@@ -114,9 +114,9 @@ def test_what_the_recording_cannot_tell_is_left_out_and_said(drifting: Recording
         ("index-drift:law=sometimes", "expected one of"),
         ("index-drift:pace=3", "no shape parameter"),
         ("no-such-effect", "no effect"),
-        ("beam ~ time", "responses are distance, azimuth"),
+        ("beam ~ time", "expected one of distance, azimuth"),
         ("beam tilt ~ time:S9", "'S9' is not a station"),
-        ("beam tilt ~ time:pace=3", "belong in the text of the law"),
+        ("beam tilt ~ time:pace=3", "belong in its text"),
         ("beam tilt ~ pressure^2", "expected a text such as .* station-time"),
     ],
 )

@@ -284,7 +284,7 @@ def test_two_campaigns_in_one_folder_are_kept_apart(file: Path, tmp_path: Path) 
         (('"instrument.noise_factor" = [1.0, 2.0]', '"instrument.noise_factor" = [-1.0]'), "noise_factor"),
         (('"instrument.noise_factor" = [1.0, 2.0]', '"title.more" = [1]'), "which is not a table"),
         (('scenario = "paper-workshop"', 'scenario = "paper-workshp"'), "paper-workshop"),
-        (('[grid]', '[[methods]]\nmethod = "distance"\neffects = [{name = "head-sag"}]\n[grid]'), "no effects"),
+        (('[grid]', '[[methods]]\nmethod = "distance"\neffects = [{name = "head-sag"}]\n[grid]'), "should be empty"),
         (('[grid]', '[[methods]]\neffects = [{name = "head-sagg"}]\n[grid]'), "head-sag"),
         (('[grid]', '[[methods]]\n[[methods]]\n[grid]'), "different names"),
     ],

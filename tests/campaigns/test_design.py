@@ -102,7 +102,7 @@ def test_names_are_as_short_as_tells_them_apart() -> None:
         ('[grid]\n"work.targets" = [0]\ngauge = ["none"]\n', "work.targets is 0, expected at least 3"),
         ('[grid]\n"effects.3.values.x" = [1]\n', "contains the part 3, which is not a table"),
         ('[design]\nkind = "sobol"\ncell_count = 50\n' + RANGE + "low = 3\nhigh = 6\n", "such as 64"),
-        ('[design]\nkind = "sobol"\ncell_count = 8\n' + RANGE + "low = 6\nhigh = 3\n", "low below high"),
+        ('[design]\nkind = "sobol"\ncell_count = 8\n' + RANGE + "low = 6\nhigh = 3\n", "low should be below high"),
         (LINK + '[grid]\nnoise_arcsec = [1]\n"instrument.noise.azimuth_arcsec" = [1]\n', "vary each key once"),
         ('[stop]\nmax_half_width = 0\n', "greater than 0"),
         ('statistics = ["errors"]\n[stop]\nmax_half_width = 1\nstatistic = "z:beam-tilt"\n', "'z-scores' among its st"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import json
 import os
 import subprocess
 import sys
@@ -14,12 +15,14 @@ import pytest
 
 from ltsim.campaigns.batch_fit import MAX_DISTANCE_TO_OPTIMUM
 from ltsim.campaigns.campaign import run_campaign
+from ltsim.campaigns.schema import ManifestFile
 from ltsim.campaigns.shard_rows import load_cell_context
 from ltsim.campaigns.spec import load_campaign
 from ltsim.campaigns.true_network import TrialBatch, TrueNetwork
 from ltsim.core.errors import InputError
 from ltsim.core.limits import POINTINGS_LIMIT_VARIABLE
 from ltsim.core.randomness import TRIALS_PER_STREAM, standard_normal_trials
+from ltsim.recordings.result_file import read_result
 from tests.campaigns.small import FILE
 
 FEW = FILE.replace("trials = 600", "trials = 12").replace("[1.0, 2.0]", "[1.0]")
@@ -153,3 +156,52 @@ def test_a_large_campaign_takes_500_mb(name: str, tmp_path: Path) -> None:
         process.returncode = os.waitstatus_to_exitcode(status)
     assert process.returncode == 0
     assert used.ru_maxrss < 500 * 1024
+
+
+FIRST_CELLS = """
+import os, sys
+class WithoutPandas:
+    def find_spec(self, name, *given):
+        if name == "pandas":
+            raise ImportError(name)
+sys.meta_path.insert(0, WithoutPandas())
+from ltsim.campaigns import campaign
+from ltsim.cli.main import run
+left, real = [5], campaign.run_shard_task
+def task(*given):
+    left[0] -= 1
+    return real(*given) if left[0] else os._exit(0)
+campaign.run_shard_task = task
+run(sys.argv[1:])
+sys.exit(1)
+"""
+"""Program that ends at the fifth cell; the others take the same memory one after the other. pyarrow imports pandas
+where it is installed, which takes 24 MB."""
+
+
+@pytest.mark.long
+def test_a_campaign_of_most_cells_and_most_pointings_takes_500_mb(tmp_path: Path) -> None:
+    """It took 630 MB: the scenarios of all cells were in memory as values, as their copy and as text."""
+    levels = [[round(1 + 0.001 * k, 3) for k in range(count)] for count in (61, 60)]
+    (tmp_path / "a.toml").write_text(
+        'format = "ltsim-campaign/1"\ntrials = 1\ntrials_per_shard = 1\nverified_trials_per_shard = 0\n'
+        'statistics = ["errors"]\n[scenario_changes]\n"work.repeats" = 50\n"work.faces" = 2\n[grid]\n'
+        f'"instrument.noise_factor" = {levels[0]}\n"instrument.noise.azimuth_arcsec" = {levels[1]}\n'
+        '[[methods]]\nmethod = "network"\n'
+    )
+    words = [FIRST_CELLS, "campaign", str(tmp_path / "a.toml"), "--out", str(tmp_path / "out"), "--jobs", "1", "-q"]
+    with subprocess.Popen([sys.executable, "-c", *words], stdout=subprocess.DEVNULL) as process:
+        _, status, used = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+    assert process.returncode == 0
+    assert used.ru_maxrss < 500 * 1024
+
+
+def test_the_manifest_has_the_text_that_json_gives(file: Path, tmp_path: Path) -> None:
+    """Its scenarios are converted one by one."""
+    file.write_text(FILE)
+    run_campaign(file, tmp_path / "out")
+    text = (tmp_path / "out" / "manifest.json").read_text()
+    assert len(json.loads(text)["scenarios"]) == 2
+    assert text == json.dumps(json.loads(text), indent=1) + "\n"
+    assert read_result(tmp_path / "out", ManifestFile).text() == text

@@ -142,7 +142,7 @@ def test_a_changed_cad_file_is_noticed_and_kept(file: Path, tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (("[1.0, 2.0]", str([1.0] * 5000)), "at most 4096 cells, but the grid gives 5000"),
+        (("[1.0, 2.0]", str([1.0] * 5000)), "at most 4096 cells, but grid, design and cells give 5000"),
         (
             ("trials = 600\ntrials_per_shard = 256", "trials = 1000000000\ntrials_per_shard = 1"),
             "increase trials_per_shard",
@@ -152,7 +152,7 @@ def test_a_changed_cad_file_is_noticed_and_kept(file: Path, tmp_path: Path) -> N
                 "trials_per_shard = 256\nverified_trials_per_shard = 1\n",
                 'trials_per_shard = 600\n[[methods]]\n[[methods]]\nname = "b"\n',
             ),
-            "at most 1000 rows per file, but trials_per_shard and methods give 1200: reduce trials_per_shard",
+            "at most 1000 rows, but trials_per_shard and methods give 1200: reduce trials_per_shard",
         ),
     ],
 )

@@ -118,7 +118,7 @@ def test_constants_that_are_clear_are_named_as_a_person_would():
     named = significant_instrument_constant_texts(entries)
     assert 0 < len(named) <= 5
     (index,) = (words for words in named if words.startswith("vertical index"))
-    assert index.startswith("vertical index, effective over the angles used, of the instrument: ")
+    assert index.startswith("vertical index, with the constants that the readings do not separate from it, of ")
     one = next(c for c in entries[0].determined if next(iter(c.combination)) == "vertical-index")
     weight = one.combination["vertical-index"]
     assert index.endswith(f"{with_sigma(one.value / weight, one.sigma / weight)} urad")

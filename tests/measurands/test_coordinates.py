@@ -252,9 +252,9 @@ def test_a_covariance_matrix_is_read_whatever_its_width(tmp_path: Path) -> None:
     file.write_text("\n".join((",".join(["", *names]), "# of an adjustment", *rows)) + "\n")
     assert np.array_equal(read_coordinates(tmp_path / "a.csv").covariance, 2e-6 * np.eye(600))
     for changed, says in (
-        (rows[:-1], "lacks rows in the order of its columns"),
-        ([*rows, rows[0]], "lacks rows in the order of its columns"),
-        ([rows[1], rows[0], *rows[2:]], "lacks rows in the order of its columns"),
+        (rows[:-1], "has other rows than columns, or another order"),
+        ([*rows, rows[0]], "has other rows than columns, or another order"),
+        ([rows[1], rows[0], *rows[2:]], "has other rows than columns, or another order"),
         ([rows[0] + ",1", *rows[1:]], "has rows whose length differs from the header"),
         ([rows[0].replace("2", "x"), *rows[1:]], "row 2: found 'x', expected a number"),
         ([rows[0].replace("2", "1e999"), *rows[1:]], "row 2: found 1e999"),

@@ -93,7 +93,7 @@ def test_errors_of_a_known_size_are_in_the_budget() -> None:
         covariates={**recording.covariates, f"shared_tripod_{OBSERVABLE_NAMES_WITH_UNIT[0]}": shared}
     )
     inputs = evaluate_tasks(recording, tasks(type_b=[])).inputs
-    names = {"range error of a reflector as a function of incidence", "error that readings share"}
+    names = {"range error of a reflector as a function of the angle of incidence", "error that readings share"}
     type_b_names = {source.name for source in inputs.sources if source.evaluation_type == "B"}
     assert type_b_names == names | {PRIOR_SOURCE_NAME, REFERENCE_LENGTHS_SOURCE_NAME}
     for i, name in enumerate(inputs.target_names):
@@ -311,7 +311,7 @@ def test_results_against_themselves_differ_by_nothing() -> None:
         ({"type_b": [{"effect": "station-weather", "sizes": {"x": 1.0}}]}, "x"),
         ({"task": [{"name": "a", "kind": "point", "targets": ["T99"]}]}, "T99"),
         ({"task": [{"name": "a", "kind": "point", "targets": ["T01"], "tolerances": {"q": {"upper": 1.0}}}]}, "q"),
-        ({"task": [{"name": "a", "kind": "pose", "targets": ["T01"]}]}, "nominal_mm of T01"),
+        ({"task": [{"name": "a", "kind": "pose", "targets": ["T01"]}]}, "should contain the coordinates of T01"),
     ],
 )
 def test_what_makes_no_sense_is_refused_in_a_sentence(change: dict[str, Any], message: str) -> None:

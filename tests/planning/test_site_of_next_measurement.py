@@ -146,7 +146,7 @@ def test_a_site_in_other_axes_is_refused(hall: Path, measured: Recording, tmp_pa
         f"x_mm = {9000 - int(line[7:])}" if line.startswith("x_mm") else line for line in HALL.splitlines()
     )
     other.write_text(mirrored + "\n")
-    with pytest.raises(InputError, match=r"do not fit them: .* m off; name the plan of this hall, or rename"):
+    with pytest.raises(InputError, match=r"but other positions: .* m off; give the plan of this hall, or rename"):
         lt.next_measurement(measured, site=other)
     renamed = measured.replace(targets=tuple(f"T{i}" for i in range(len(measured.targets))))
     with pytest.raises(InputError, match=r"no station of the recording stands on the permitted floor of .*: S1 is at"):

@@ -479,7 +479,7 @@ def test_what_a_setup_says_of_points_that_nobody_measured_is_told(folder: Path) 
     [
         (
             "[instrument.limits]\nelevation_min_deg = 77\nelevation_max_deg = -55",
-            "elevation_min_deg below elevation_max",
+            "elevation_min_deg should be below elevation_max",
         ),
         ("[instrument.limits]\nelevation_max_deg = 400", "less than or equal to 90"),
         ("[stations.S1]\ninstrument_height_mm = 1e11", "less than or equal to 1000000"),

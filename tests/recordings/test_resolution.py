@@ -39,7 +39,7 @@ def test_noise_is_no_smaller_than_the_step_of_the_readings(
     noise = recording.setup.instrument.noise
     assert noise.distance_mm == pytest.approx(distance_mm) and noise.azimuth_arcsec == pytest.approx(angle_arcsec)
     assert noise.elevation_arcsec == noise.azimuth_arcsec
-    text = f"total station is used ({distance_mm:g} mm + 1.5 ppm, {angle_arcsec:g} arcsec), because its ranges"
+    text = f"total station is used ({distance_mm:g} mm + 1.5 ppm, {angle_arcsec:g} arcsec), because the ranges"
     assert text in recording.notes[0]
 
 
@@ -50,5 +50,5 @@ def test_rounding_alone_does_not_contradict_the_model(tmp_path: Path) -> None:
 
 def test_lengths_converted_from_feet_are_no_laser_tracker(tmp_path: Path) -> None:
     recording = table(tmp_path / "a.csv", 1.0, 0.001 * FOOT_M)
-    assert "because its ranges are written to 0.3 mm" in recording.notes[0]
+    assert "because the ranges are written to 0.3 mm" in recording.notes[0]
     assert "default noise of a laser tracker" in table(tmp_path / "b.csv", 0.01, 1e-6).notes[0]

@@ -138,7 +138,7 @@ def test_ranges_that_no_tracker_prints_have_a_total_stations_noise_and_it_is_sai
     recording = read(survey(tmp_path / "a.csv", visits, heights=heights, digits=digits))
     assert recording.setup.instrument.noise == ASSUMED_TOTAL_STATION_NOISE
     assert (
-        "the default noise of a total station is used (1 mm + 1.5 ppm, 1 arcsec), because its ranges are written to"
+        "the default noise of a total station is used (1 mm + 1.5 ppm, 1 arcsec), because the ranges are written to"
         in recording.notes[0]
     )
     assert all(recording.station_setup(name).levelled for name in recording.stations)

@@ -169,7 +169,7 @@ def test_cad_files_are_found_beside_the_scenario(write: Write, tmp_path: Path) -
         ('[[effects]]\nname = "mesh-expansion"\nshape = { mode = "x" }', "mode is 'x', expected one of uniform"),
         ('[[effects]]\nname = "smr-incidence"\nshape = { table = [1.0] }', "table has 1 values, expected 9"),
         ('[[effects]]\nname = "wrong-unit"\nshape = { mistake = "metres" }', "did you mean metre"),
-        ("[instrument.limits]\nrange_min_mm = 9000\nrange_max_mm = 500", "range_min_mm below range_max_mm"),
+        ("[instrument.limits]\nrange_min_mm = 9000\nrange_max_mm = 500", "range_min_mm should be below range_max_mm"),
     ],
 )
 def test_constants_that_mean_nothing_are_refused(write: Write, tables: str, says: str) -> None:

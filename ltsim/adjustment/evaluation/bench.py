@@ -62,12 +62,12 @@ class BenchRow(Entry):
     """Range error of the reflector at one angle of incidence, relative to its error at the angle nearest 0 deg."""
 
     angle_deg: Finite
-    """Angle of the roundness table, equal to the angle of incidence."""
+    """Angle [deg] of the roundness table, equal to the angle of incidence."""
     uncorrected_length_um: Finite
     """Measured length minus the length at the angle nearest 0 deg [um]; it contains the effect of the eccentricity of
     the sphere."""
     error_um: Finite
-    """Range error of the reflector [um]: measured minus true range."""
+    """Range error of the reflector [um], measured minus true range, relative to that at the angle nearest 0 deg."""
     sigma_um: Finite
     """Standard deviation of the range error [um]."""
 
@@ -91,19 +91,20 @@ class BenchFile(ResultFile):
     format: Literal["ltsim-bench/1"] = "ltsim-bench/1"
     """Format and version of this file."""
     eccentricity_forward: EstimateEntry
-    """Eccentricity of the sphere at 0 deg, component towards the interferometer."""
+    """Eccentricity of the sphere [um] when the table is at 0 deg, component towards the interferometer."""
     eccentricity_side: EstimateEntry
-    """Eccentricity of the sphere at 0 deg, component to the side."""
+    """Eccentricity of the sphere [um] when the table is at 0 deg, horizontal component across the beam. Positive is the
+    direction into which the table turns a point that is nearest to the interferometer."""
     run_out_um: Finite
     """Difference of the largest and the smallest probe reading [um]."""
     range_errors: tuple[BenchRow, ...] = Field(alias="table")
     """Range error at each angle of incidence."""
     vertex_axial: EstimateEntry
-    """Offset of the mirrors' vertex from the sphere's centre that would explain the range errors: component out of the
-    open side of the reflector."""
+    """Offset [um] of the mirrors' vertex from the sphere's centre that would explain the range errors: component out of
+    the open side of the reflector."""
     vertex_offset_lateral: EstimateEntry
-    """Offset of the mirrors' vertex from the sphere's centre that would explain the range errors: component to the
-    side."""
+    """Offset [um] of the mirrors' vertex from the sphere's centre that would explain the range errors: component across
+    the axis of the reflector. Positive is the direction into which the table turns the open side of the reflector."""
     unexplained_rms_um: Finite
     """Rms range error [um] that no offset of the vertex explains, caused by the optics."""
 
@@ -144,7 +145,8 @@ class ReflectorBenchReadings:
     table_angles_of_probe: Floats
     """Angle of the roundness table for each probe reading [rad]."""
     probe_direction: float
-    """Angle [rad] from the interferometer to the probe, seen from the axis of the roundness table."""
+    """Angle [rad] from the interferometer to the probe as seen from the axis of the roundness table, counted against
+    the rotation of the table."""
     probe_displacements: Floats
     """Displacement [m] of the sphere's surface at the probe, positive outward, for each probe reading."""
     length_sigma: float
@@ -156,7 +158,8 @@ class ReflectorBenchEstimates:
     """Estimates from the bench test of a reflector, in SI units, with range errors at k angles of incidence."""
 
     eccentricity: Floats
-    """Eccentricity of the sphere at 0 deg, components forward and to the side, (2,) [m]."""
+    """Eccentricity of the sphere when the table is at 0 deg, (2,) [m]: towards the interferometer, and across the beam,
+    positive where the table turns the side that is nearest to the interferometer."""
     eccentricity_covariance: Floats
     """Covariance of the eccentricity, (2, 2) [m^2]."""
     run_out: float
@@ -176,7 +179,8 @@ class VertexOffset(NamedTuple):
     axial_offset: float
     """Component [m] of the offset along the axis of symmetry of the mirrors, positive out of the reflector."""
     side_offset: float
-    """Component [m] of the offset perpendicular to the axis of symmetry of the mirrors."""
+    """Component [m] of the offset perpendicular to the axis of symmetry of the mirrors, positive in the direction into
+    which the roundness table turns the open side of the reflector."""
     axial_sigma: float
     """Standard deviation of `axial_offset` [m]."""
     side_sigma: float
@@ -188,7 +192,8 @@ class VertexOffset(NamedTuple):
 def eccentricity_design_matrix(angles: Floats) -> Floats:
     """Changes (k, 2) of the lengths at k `angles` (k,) [rad] per unit of the two components of the eccentricity.
 
-    The components are those at 0 deg: forward (towards the interferometer), and to the side.
+    The components are those when the table is at 0 deg: towards the interferometer, and across the beam, positive where
+    the table turns the side that is nearest to the interferometer.
     """
     return np.stack([-np.cos(angles), np.sin(angles)], axis=1)
 

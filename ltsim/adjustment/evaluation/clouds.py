@@ -124,9 +124,9 @@ def removed_error_fraction(
 ) -> float:
     """Fraction of the correctable mean squared error that a calibration removed, over all trials together.
 
-    The arguments are rms errors [m] of points in each trial: uncorrected, calibrated, and corrected with the true
-    parameters. The correctable error is the mean square of the first minus that of the third. The result is NaN if this
-    difference is not positive.
+    The arguments are rms errors [m] of points in each trial of a simulation, in this order: uncorrected, calibrated,
+    and corrected with the true parameters. The correctable error is the mean square of the first minus that of the
+    third. The result is NaN if this difference is not positive.
     """
     squares = (float(np.nanmean(np.square(error))) for error in (raw_errors, calibrated_errors, true_parameter_errors))
     before, after, perfect = squares

@@ -60,11 +60,15 @@ CRITERIA_TABLE = Table(
     "disagreement of the stations, before and after a calibration",
     (
         Column("criterion", "distance (between targets) or coordinate (of targets)", "text"),
-        Column("mean_um", "mean over the pairs of targets, or over the targets", display_format=".1f"),
-        Column("max_um", "maximum over the pairs of targets, or over the targets", display_format=".1f"),
-        Column("mean_after_um", "mean after correction of the readings", display_format=".1f"),
-        Column("max_after_um", "maximum after correction of the readings", display_format=".1f"),
-        Column("improvement_percent", "decrease of the mean by the correction", display_format=".1f"),
+        Column("mean_um", "mean disagreement over the pairs of targets, or over the targets", display_format=".1f"),
+        Column("max_um", "maximum disagreement over the pairs of targets, or over the targets", display_format=".1f"),
+        Column("mean_after_um", "mean disagreement after correction of the readings", display_format=".1f"),
+        Column("max_after_um", "maximum disagreement after correction of the readings", display_format=".1f"),
+        Column(
+            "improvement_percent",
+            "decrease of the mean disagreement by the correction, in percent of its value before",
+            display_format=".1f",
+        ),
     ),
 )
 
@@ -91,7 +95,8 @@ class DisagreementChange(Entry):
     after: DisagreementEntry | None = None
     """Disagreement of the stations with readings that a calibration corrects; null without a calibration."""
     improvement_percent: OptionalFloat = None
-    """Decrease of the mean by the calibration, in percent of the mean before."""
+    """Decrease of the mean disagreement of the stations by the calibration, in percent of the mean disagreement before
+    it."""
 
     @classmethod
     def from_differences(cls, uncalibrated: StationDisagreement, calibrated: StationDisagreement | None = None) -> Self:
@@ -128,7 +133,10 @@ class CriteriaEntry(Entry):
     null in a verification."""
 
     def criteria_table(self) -> Table:
-        """Data table with one row per criterion: disagreement of the stations before and after calibration."""
+        """Data table of the disagreement of the stations before and after calibration.
+
+        The rows are: distances between targets, distances compared with station 1, coordinates.
+        """
         criterion_by_name = {
             "distance": self.distance,
             "distance, compared with station 1": self.distance_to_first,
@@ -163,10 +171,11 @@ class Criteria(ResultFile, CriteriaEntry):
 
 
 def iterate_distances_by_target(clouds: Floats, min_observers: int = 1) -> Iterator[tuple[Ints, Floats]]:
-    """Indices (s,) of the s stations that measured a target, and distances (s, f) [m] to following targets, per target.
+    """Indices (s,) of the s stations that measured a target, and distances (s, f) [m] to f later targets, per target.
 
-    `clouds` (S, T, 3) [m] are the points of T targets from S stations, NaN if not measured. Pairs of targets measured
-    from fewer than `min_observers` stations are left out, so that the memory depends only on measured pairs.
+    `clouds` (S, T, 3) [m] are the points of T targets from S stations, NaN if not measured. Later targets are those
+    with a larger index. Pairs of targets measured from fewer than `min_observers` stations are left out, so that the
+    memory depends only on measured pairs.
     """
     is_measured = np.isfinite(clouds[:, :, 0])
     for point in range(clouds.shape[1]):
@@ -223,16 +232,16 @@ def evaluate_criteria(
     """Disagreement of the stations of a recording in distances and coordinates, before and after correction.
 
     The correction uses the p `parameter_values` [SI] of the error model `construction`, (p,) or for each of n pointings
-    (n, p). Before, `reading_changes` (n, 3) [m, rad, rad], the changes by estimated effects, are subtracted from the
-    readings. `row_mask` (n,) selects pointings; faces and repeats are averaged by station and target. Raises
-    NetworkError if no two stations have common targets, if the network is too large for a comparison of all stations,
-    and if SMRs have several radii.
+    (n, p). Before this correction, `reading_changes` (n, 3) [m, rad, rad], the changes by estimated effects, are
+    subtracted from the readings. `row_mask` (n,) selects pointings; faces and repeats are averaged by station and
+    target. Raises NetworkError if no two stations have common targets, if the network is too large for a comparison of
+    all stations, and if SMRs have several radii.
     """
     require_equal_radii(recording, "the comparison of stations")
     stations, targets = len(recording.stations), len(recording.targets)
     if 3 * stations * targets > MAX_MATRIX_ENTRIES:
         raise NetworkError(
-            f"the network is too large for the criteria ({stations} stations, {targets} targets): "
+            f"the network is too large for a comparison of all stations ({stations} stations, {targets} targets): "
             "evaluate parts of it separately"
         )
     raw_clouds = station_point_clouds(recording, measured_points(recording), row_mask)
@@ -244,7 +253,9 @@ def evaluate_criteria(
             row_mask,
         )
     if len(recording.stations) < 2:
-        raise NetworkError("the criteria compare stations, but this recording has only one; measure from a second one")
+        raise NetworkError(
+            "stations cannot be compared, because the recording has only one; measure from a second station"
+        )
 
     def compare(criterion_function: Callable[[Floats], StationDisagreement], *, is_aligned: bool) -> DisagreementChange:
         def disagreement_of(clouds: Floats) -> StationDisagreement:
@@ -252,7 +263,9 @@ def evaluate_criteria(
 
         raw_disagreement = disagreement_of(raw_clouds)
         if not len(raw_disagreement.disagreements):
-            raise NetworkError("the criteria need targets and pairs of targets that two stations measured")
+            raise NetworkError(
+                "no target, or no pair of targets, was measured from two stations; measure common targets"
+            )
         return DisagreementChange.from_differences(
             raw_disagreement, None if corrected_clouds is None else disagreement_of(corrected_clouds)
         )
@@ -326,12 +339,12 @@ def verify_against_nominal(
     *,
     reading_changes: Floats | None = None,
 ) -> CriteriaEntry:
-    """Errors of a laboratory recording relative to nominal points, before and after calibration.
+    """Errors of distances and coordinates relative to nominal points, before and after a calibration.
 
     `nominal_points` maps target names to coordinates (3,) [m]. The correction uses the p `parameter_values` [SI] of the
-    error model `construction`, (p,) or for each of n pointings (n, p). Before, the changes by estimated effects,
-    `reading_changes` (n, 3) [m, rad, rad], are subtracted from the readings. Raises NetworkError if a station measured
-    fewer than three targets with nominal points.
+    error model `construction`, (p,) or for each of n pointings (n, p). Before this correction, the changes by estimated
+    effects, `reading_changes` (n, 3) [m, rad, rad], are subtracted from the readings. Raises NetworkError if a station
+    measured fewer than three targets with nominal points.
     """
     nan_vector = np.full(3, np.nan)
     goal = np.stack([nominal_points.get(name, nan_vector) for name in recording.targets])

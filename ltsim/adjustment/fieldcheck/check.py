@@ -60,7 +60,7 @@ from ltsim.recordings.result_file import write_result
 from ltsim.recordings.times import interval_text
 
 N_TESTS_PER_SETUP = 6
-"""Number of tests of one set-up: two faces, gross errors, bump, station drift, instrument drift, scatter."""
+"""Number of tests of one set-up: two faces, gross errors, sudden motion, station drift, instrument drift, scatter."""
 
 
 DriftSentenceFunction = Callable[[Recording, AddedColumnsFit, bool], str]
@@ -71,13 +71,13 @@ True if the test passed."""
 def check(
     recording: RecordingSource, *, level: float = FAMILY_WISE_LEVEL, mpe: tuple[float, float] | None = None
 ) -> Check:
-    """Field check of a recording: tests of two-face differences, repeated points, drifts, bumps and scatter.
+    """Field check of a recording: tests of two-face differences, repeated points, motions, drifts and scatter.
 
     Parameters
     ----------
     recording : Recording, str or Path
     level : float
-        Probability of at least one false alarm in the whole recording, if noise and specification are correct.
+        Probability of a false alarm in the whole recording, for the declared noise and a tracker within specification.
     mpe : pair of float, optional
         Maximum permissible two-face difference, as a length: constant part [um] and part proportional to the range
         [um/m], such as ``(20, 6)``; default from the noise and the specification of the instrument.
@@ -145,12 +145,12 @@ def check(
 
 
 def _explains_readings(selection: CauseSelection) -> bool:
-    """True if the readings are tested with the corrections of a selection; its causes are then failed tests."""
+    """True if set-ups and network are tested with readings corrected for the identified causes of errors."""
     return selection.requires_adjustment_with_causes or selection.is_consistent or selection.has_unit_errors
 
 
 def write_check(check: Check, folder: Path, extra_files: Mapping[str, str]) -> Check:
-    """Check with digests of the files that this function writes to `folder`: `check.json`, `two_face.csv` and others.
+    """Copy of `check` with hashes of the files that are written to `folder`: `check.json`, `two_face.csv` and others.
 
     `extra_files` are the texts of further files by file name, for example of a figure.
 
@@ -173,9 +173,9 @@ def _test_setup(
 ) -> SetupCheck:
     """Results of the tests of the set-up with the index `station`.
 
-    The three recordings contain the same pointings with different corrections. The two-face differences are those of
-    `paired_recording`, which contains outliers. The other tests use `setup_recording`.
-    `recording_with_declared_noise` serves for sentences on estimated noise. `mpe` is the maximum permissible two-face
+    The three recordings contain the same pointings with different corrections. The tests are those of `test_family`.
+    The two-face differences are those of `paired_recording`, which contains outliers. The other tests use
+    `setup_recording`. `recording_with_declared_noise` is for sentences. `mpe` is the maximum permissible two-face
     difference: constant part [um] and part per range [um/m]; None for the limit by noise and specification.
     """
     indices = np.flatnonzero(setup_recording.station == station)
@@ -228,7 +228,7 @@ class GrossAndMotionTests:
     corrected_setup_model: SetupModel
     """Linear model of the set-up without gross pointings, in which detected motions and drifts are fitted too."""
     motions: tuple[StationMotionEffect, ...]
-    """Detected motions of the station (bump, drift)."""
+    """Detected motions of the station: sudden (bump) or at a constant rate (drift)."""
     motion_corrected_recording: Recording
     """Recording of the set-up whose readings are corrected for the detected motions and drifts."""
 

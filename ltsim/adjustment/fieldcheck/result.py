@@ -44,7 +44,8 @@ instrument, `closure` scatter of repeated pointings, `network` agreement of the 
 FIRST_REPORTED_TEST_KINDS = ("cause", "mistake", "gross", "bump", "drift")
 """Kinds of failed tests that are reported first, because their causes also produce two-face differences and scatter.
 
-Of one set-up, a gross error precedes a bump: pointings are rejected only while each explains more than any bump.
+Of one set-up, a gross error precedes a bump (sudden motion of the station): pointings are rejected only while each
+rejection reduces chi-square more than the best bump does.
 """
 
 
@@ -146,7 +147,7 @@ class SetupCheck(ValueEquality):
     row_numbers: Ints
     """Row numbers (n,) of the n pointings of the set-up in the whole recording, from 1."""
     motions: tuple[StationMotionEffect, ...] = ()
-    """Detected motions of the station (bump, drift) during its occupation."""
+    """Detected motions of the station during its occupation: sudden (bump) or at a constant rate (drift)."""
 
 
 @dataclass(frozen=True)
@@ -221,7 +222,7 @@ class Check(ResultFile):
         return {"items": lambda: ITEMS_TABLE.with_rows(self.items), "two_face": self._two_face_table}
 
     def _two_face_table(self) -> Table:
-        """Data table of the half two-face differences with their limits, one row per pair."""
+        """Data table of the half two-face differences with their limits, one row per pair of pointings."""
         rows, recording = [], self.arrays.recording
         for setup in self.arrays.setup_checks:
             if (faces := setup.two_face_differences) is None:

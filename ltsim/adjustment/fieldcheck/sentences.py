@@ -135,7 +135,8 @@ def station_drift_sentence(recording: Recording, fit: AddedColumnsFit, passed: b
 def zero_drift_sentence(recording: Recording, fit: AddedColumnsFit, passed: bool) -> str:
     """Sentence on the drift of range zero and vertical index of an instrument during its occupation.
 
-    The estimates of the fit are corrections (true value minus reading); the sentence states the change of the readings.
+    The estimates of the fit are corrections (true value minus reading); the sentence states the change of the readings,
+    or no drift if the test `passed`.
     """
     duration = float(np.ptp(recording.time))
     drift_sigmas = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))

@@ -38,7 +38,8 @@ standard deviations. Combinations with smaller singular values change the readin
 """
 MIN_DETERMINED_FRACTION_OF_PARAMETER = 0.999
 """Smallest fraction of a determined parameter that lies in the space of determined combinations of parameters (squared
-length of the projection of its unit vector). A parameter below it is undetermined and gets an infinite variance."""
+length of the projection of its unit vector). A parameter with a smaller fraction is undetermined and gets an infinite
+variance."""
 
 
 @dataclass(frozen=True)
@@ -187,7 +188,7 @@ class SetupModel:
         return max(by_declared, float(special.fdtrc(fit.rank, dof, ratio)))
 
     def with_fitted_columns(self, design: Floats) -> SetupModel:
-        """Model of the set-up with another cause, such as a bump, as additional unknowns.
+        """Model of the set-up with a suspected cause of errors, such as a drift, as additional unknowns.
 
         `design` (n, 3, c) is the change of the readings of n pointings per unit of the c parameters of the cause.
         """
@@ -210,7 +211,7 @@ class SetupModel:
         return np.asarray(sums[0], dtype=np.float64), np.asarray(sums[1], dtype=np.float64)
 
     def distance_from_mean_of_others(self, row: int) -> float:
-        """Distance [m] of the point of pointing `row` from the mean of its target's other points; NaN without any."""
+        """Distance [m] of the point of pointing `row` from the mean of its target's other points; NaN if none."""
         points = from_polar(self.recording.readings)
         is_complete = np.isfinite(points).all(axis=1)
         others: Bools = np.logical_and(is_complete & self.row_mask, self.recording.target == self.recording.target[row])
@@ -242,7 +243,7 @@ class SetupModel:
 
 
 def _initial_state(recording: Recording, row_mask: Bools) -> NetworkState:
-    """Network state with the instrument at the origin, and each target at the mean of its used points."""
+    """Network state with the instrument at the origin, targets at means of the points that `row_mask` (n,) flags."""
     points = from_polar(recording.readings)
     is_complete = np.isfinite(points).all(axis=1)
     is_valid = is_complete & row_mask if (is_complete & row_mask).any() else is_complete
@@ -298,9 +299,9 @@ class TwoFaceDifferences:
         """Two-face differences of a recording with one station; None if no target was measured in both faces.
 
         `motion_corrected_recording` is the recording without the effects of detected motions. `alpha` is the
-        probability of any false alarm among the differences. `mpe` is a pair of numbers A and B: the maximum
-        permissible full difference is A um + B um per metre of range. If it is None, the limit follows from noise and
-        specification.
+        probability of at least one false alarm among the differences. `mpe` is a pair of numbers A and B: the maximum
+        permissible full difference is A um + B um per metre of range. If `mpe` is None, the limit is computed from the
+        declared noise and the specification of the instrument.
         """
         if not len(face_pair_rows(recording)):
             return None

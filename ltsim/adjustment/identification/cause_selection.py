@@ -61,7 +61,7 @@ DISPLACED_REFLECTOR_KINDS = ("reflector-seating", "target-moved")
 def largest_displacement(fit: NetworkFit, hypothesis: CauseHypothesis) -> float:
     """Largest displacement [m] of a measured point, or misclosure of a reference value, by the error of a hypothesis.
 
-    It is 0 for a noise hypothesis and for wrongly recorded pointings.
+    The result is 0 for a hypothesis on the size of the noise and for wrongly recorded pointings.
     """
     change, sightings = hypothesis.model_change, fit.adjustment.sightings
     if isinstance(change, ReferenceOmission):
@@ -114,17 +114,17 @@ class CauseSelection:
     fit: NetworkFit
     """Network fit with all selected hypotheses in its model."""
     selected_hypotheses: tuple[SelectedHypothesis, ...]
-    """Selected hypotheses: first errors of readings and reference values, then noise hypotheses and centring errors; in
-    each group the hypothesis with the largest gain of log evidence first."""
+    """Selected hypotheses: first errors of readings and reference values, then hypotheses on the size of the noise and
+    on centring errors; in each group the hypothesis with the largest gain of log evidence first."""
 
     @property
     def _certain_hypotheses(self) -> list[CauseHypothesis]:
-        """Selected hypotheses that are certain: large gain of log evidence, or a badly seated reflector."""
+        """Selected hypotheses that are certain: with a large gain of log evidence, or on a badly seated reflector."""
         return [c.hypothesis for c in self.selected_hypotheses if c.is_certain]
 
     @property
     def _certain_effects(self) -> list[LinearEffect]:
-        """Effects, such as motions and offsets, of those certain hypotheses that shift readings."""
+        """Effects, such as motions and offsets, of those selected hypotheses that are certain and shift readings."""
         changes = (h.model_change for h in self._certain_hypotheses)
         return [change.effect for change in changes if isinstance(change, ReadingShiftChange)]
 
@@ -132,8 +132,9 @@ class CauseSelection:
     def requires_adjustment_with_causes(self) -> bool:
         """True if the selected hypotheses must be in the model before other tests of the network are possible.
 
-        Such hypotheses are certain errors of all readings of a set-up or target, exchanged reference coordinates, and a
-        reference value with a large error. The adjustment itself tests motions of stations and other reference values.
+        Such hypotheses, if their gain of log evidence is large, are errors of all readings of a set-up or target,
+        exchanged reference coordinates, and a reference value with a large error. The adjustment itself tests motions
+        of stations and other reference values.
         """
         certain = self._certain_hypotheses
         shared = [h for h in certain if h.kind in SYSTEMATIC_CAUSE_KINDS]
@@ -169,7 +170,7 @@ class CauseSelection:
 
     @property
     def certain_station_motions(self) -> tuple[FittedMotion, ...]:
-        """Certain motions of stations: for each station only the motion with the largest gain of log evidence."""
+        """Motions of stations that are certain (large gain of log evidence); for each station only the likeliest."""
         motions: dict[tuple[str, ...], FittedMotion] = {}
         for effect in self._certain_effects:
             motion = SuddenMotion(effect.stations, time=effect.time) if isinstance(effect, StationBump) else effect
@@ -184,13 +185,13 @@ class CauseSelection:
 
     @property
     def has_shifts_other_than_motions(self) -> bool:
-        """True if a selected hypothesis shifts readings in another way than by a certain motion of a station."""
+        """True if a selected hypothesis shifts readings in another way than the `certain_station_motions` do."""
         changes = [choice.hypothesis.model_change for choice in self.selected_hypotheses]
         return sum(isinstance(change, ReadingShiftChange) for change in changes) > len(self.certain_station_motions)
 
     @property
     def larger_noise_hypotheses(self) -> tuple[CauseHypothesis, ...]:
-        """Selected hypotheses, if all are larger noise than declared and the network is consistent; otherwise empty."""
+        """Selected hypotheses if all of them are larger noise than declared and explain the misfit; otherwise empty."""
         chosen = tuple(choice.hypothesis for choice in self.selected_hypotheses)
         changes = [h.model_change for h in chosen]
         is_noise = all(isinstance(change, NoiseFactorChange) and change.start_factor > 1.0 for change in changes)
@@ -200,9 +201,9 @@ class CauseSelection:
     def is_consistent(self) -> bool:
         """True if the selected hypotheses explain the misfit: the global test passes and all hypotheses are certain.
 
-        Exceptions are False: set-ups in another unit or sense of rotation (the recording must be read again), noise
-        smaller than declared (outliers may then be errors of the model), larger noise with remaining outliers, and
-        wrong reference values or set-ups over marks (other tests are more specific).
+        The result is also False for set-ups in another unit or sense of rotation (the recording must be read again),
+        noise smaller than declared (outliers may then be errors of the model), larger noise with remaining outliers,
+        and wrong reference values or set-ups over marks (other tests are more specific).
         """
         changes = [c.hypothesis.model_change for c in self.selected_hypotheses]
         quieter = any(isinstance(change, NoiseFactorChange) and change.start_factor < 1.0 for change in changes)
@@ -235,8 +236,8 @@ def adjust_with_causes(
     construction : GeometricErrorModel
         Geometric error model of the tracker; its parameters are estimated.
     hypotheses : sequence of CauseHypothesis
-        Hypotheses of the fit that the model contains: either all or none of the shifts of readings, and any of
-        the others.
+        Hypotheses of the fit that the model contains: either all or none of the shifts of readings, and any selection
+        of the other hypotheses.
     effects : sequence of LinearEffect
         Further effects to estimate; their parameters precede those of the shifts.
     subtracts_changes : bool

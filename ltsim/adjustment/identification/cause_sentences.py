@@ -69,7 +69,10 @@ def cause_sentence(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
 
 
 def _sentence_on_other_causes(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
-    """Sentence on a selected hypothesis on a shift of readings, the noise, a blunder or a reference value."""
+    """Sentence on a selected hypothesis on a shift of readings, the noise, a blunder or a reference value.
+
+    Centring errors have a separate function.
+    """
     place_names = ", ".join((*hypothesis.stations, *hypothesis.targets))
     if isinstance(hypothesis.model_change, RowCorrection | CoordinateExchange):
         return hypothesis.reference_name_or_sentence

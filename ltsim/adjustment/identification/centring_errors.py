@@ -1,7 +1,7 @@
 """Hypotheses of centring errors: random displacements of reflectors at one set-up, at all set-ups, or on one target.
 
 Each component of the displacement at an occupation (a reflector set on a target for a time) has the prior N(0, s^2).
-Z is the matrix of whitened changes by unit displacements, projected onto the residual space; d_j and V are the
+Z is the matrix of whitened changes by unit displacements, projected off the columns of all unknowns; d_j and V are the
 eigenvalues and eigenvectors of Z'Z. With the whitened residuals r and the scores z = V'Z'r, the log restricted
 likelihood ratio of the variance component s^2 is
 
@@ -61,7 +61,8 @@ class _CentringPlace:
 def centring_hypotheses(fit: NetworkFit, residual_space: ResidualSpace) -> list[tuple[float, CauseHypothesis]]:
     """Hypotheses of centring errors, each preceded by its gain of log evidence in a linear approximation at a fit.
 
-    `residual_space` is the residual space of the fit.
+    `residual_space` contains the whitened residuals of the fit, and the projection of design columns off all its
+    unknowns.
     """
     places = _centring_places(fit.recording, residual_space.is_used_reading)
     squares = np.zeros(residual_space.is_used_reading.shape)
@@ -85,7 +86,7 @@ def centring_hypotheses(fit: NetworkFit, residual_space: ResidualSpace) -> list[
 def _log_evidence_gain_and_hypothesis(
     place: _CentringPlace, log_likelihood_ratio: float, sigma: float, n_places: int
 ) -> tuple[float, CauseHypothesis]:
-    """Gain of log evidence by centring errors at the stations and targets `place`, and the hypothesis.
+    """Gain of log evidence by centring errors at the stations and targets `place`, and the hypothesis of these errors.
 
     `log_likelihood_ratio` is the gain without the prior probability, `sigma` [m] the standard deviation of the
     displacements, and `n_places` the number of set-ups and targets that share the prior probability.
@@ -205,7 +206,8 @@ class CentringSigmaEstimate(NamedTuple):
 def best_centring_sigma(residual_space: ResidualSpace, occupation_indices: Ints) -> CentringSigmaEstimate:
     """Restricted maximum likelihood estimate of the standard deviation of centring errors.
 
-    `occupation_indices` (n,) are the occupations of n pointings; -1 for pointings without centring errors.
+    `residual_space` contains the whitened residuals of a network, and the projection of design columns off all its
+    unknowns. `occupation_indices` (n,) are the occupations of n pointings; -1 for pointings without centring errors.
     """
     design_columns = residual_space.whitened_design(CentringErrors(1.0, occupation_indices))
     projected = residual_space.project(design_columns)

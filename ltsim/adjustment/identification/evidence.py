@@ -52,10 +52,10 @@ def log_occam_factor_of_variance(redundancy: Floats | float) -> Floats:
 
 
 def estimate_noise_factors_of_groups(sum_of_squares: Floats, redundancy: Floats) -> tuple[Floats, Floats]:
-    """Factors (g,) on the noise of g groups of readings, by restricted maximum likelihood, and their gains (g,).
+    """Factors (g,) on the noise of g groups of readings, and the gains (g,) of log likelihood by these factors.
 
-    A gain is the log likelihood ratio of the estimated factor to the declared noise. The arguments are the
-    weighted sums of squared residuals (g,) and the redundancies (g,) of the groups.
+    The estimates are those of restricted maximum likelihood. A gain is relative to the declared noise. The arguments
+    are the weighted sums of squared residuals (g,) and the redundancies (g,) of the groups.
     """
     is_sufficient = np.asarray(redundancy) > 1.0
     ratio = np.where(is_sufficient, sum_of_squares / np.where(is_sufficient, redundancy, 1.0), 1.0)

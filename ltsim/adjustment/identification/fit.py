@@ -60,7 +60,7 @@ from ltsim.solve.gauss_newton import MAX_DECISION_CHANGES, Solution, solve
 MAX_NOISE_ITERATIONS = 3
 """Largest number of iterations for noise factors, or standard deviations of centring errors, in one network fit."""
 NOISE_FACTOR_TOLERANCE = 0.05
-"""Relative change of noise factors below which their iteration ends; it changes the log evidence by 0.1."""
+"""Relative change of noise factors below which their iteration ends; such a change alters the log evidence by 0.1."""
 MIN_NOISE_CHANGE_FOR_OUTLIER_SEARCH = 0.2
 """Relative change of noise factors above which outliers are searched again."""
 WEAK_SHIFT_PRIOR_FACTOR = 1e6
@@ -76,7 +76,7 @@ class FitInput:
     construction: GeometricErrorModel
     """Geometric error model of the tracker, whose parameters are estimated."""
     prior: ParameterPrior | None = None
-    """Prior of the instrument parameters; None for the prior that the set-up declares."""
+    """Prior of the instrument parameters; None for the prior that `setup.toml` declares."""
     is_usable_reading: Bools | None = None
     """Flags (n, 3), True for those readings of n pointings that a fit may use; None for all."""
 
@@ -122,10 +122,11 @@ class NetworkFit:
         approximate_sightings: Sightings | None = None,
         robust_state: NetworkState | None = None,
     ) -> NetworkFit | None:
-        """Network fit with hypotheses in its model; None if it does not converge or a shift is not significant.
+        """Network fit with hypotheses in its model; None if the fit does not converge or a shift is not significant.
 
         The fit starts at `start_state`, by default at `robust_state` (the state of a robust fit, which is computed if
-        None). With `approximate_sightings` the start values of the shifts are subtracted from the readings first.
+        None). With `approximate_sightings` (approximate ranges and directions of the pointings) the start values of the
+        shifts are subtracted from the readings first.
         """
         fit = cls._with_hypotheses(fit_input, tuple(hypotheses), start_state, approximate_sightings, robust_state)
         for _ in range(MAX_NOISE_ITERATIONS):
@@ -178,7 +179,7 @@ class NetworkFit:
         return self.state.extra_parameters[at], self.adjustment.effect_covariance[at, at]
 
     def common_displacement_length(self, hypothesis: CauseHypothesis) -> CommonDisplacementLength | None:
-        """Common length of the displacements of a hypothesis of centring errors at one set-up; None if they differ."""
+        """Common length of displacements by a hypothesis of centring errors at one set-up; None for unequal lengths."""
         change = hypothesis.model_change
         if not isinstance(change, CentringChange) or len(hypothesis.stations) != 1:
             return None

@@ -99,7 +99,7 @@ ModelChange = (
 
 @dataclass(frozen=True)
 class CauseHypothesis:
-    """Hypothesis that one cause, at certain stations or targets, explains a misfit of readings and model."""
+    """Hypothesis that one cause, at some stations or targets, explains a misfit of readings and model."""
 
     kind: CauseKind
     """Kind of the cause."""
@@ -129,7 +129,7 @@ class CauseHypothesis:
     def competes_with(self, rival: CauseHypothesis) -> bool:
         """True if this hypothesis and `rival` may explain the same readings.
 
-        They may if they share a station or target, or if one of them acts on the whole recording.
+        This is possible if the hypotheses share a station or target, or if one of them acts on the whole recording.
         """
         places = [(*h.stations, *h.targets) for h in (self, rival)]
         return not all(places) or not set(places[0]).isdisjoint(places[1])

@@ -91,7 +91,8 @@ class ShiftFamily:
     def candidate_onset_times(self, sightings: Sightings, rows: Ints) -> list[float]:
         """Times [s] at which a shift may begin at a station or target.
 
-        `rows` are its pointings in the order of measurement. A shift from the first pointing on has the time -inf.
+        `rows` are the indices of the pointings of this station or target in the order of measurement. A shift from the
+        first pointing on has the time -inf.
         """
         if not self.min_pointings_around_onset:
             return [-np.inf]
@@ -161,7 +162,7 @@ def shift_places(sightings: Sightings, place_kind: PlaceKind) -> list[ShiftPlace
 
 
 def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
-    """Families of all shifts of readings that are possible in a recording."""
+    """Families of all shifts of readings that are possible in a recording, one per kind of shift and of place."""
     stations = len(sightings.station_names) > 1
     distance, azimuth, elevation = (
         ReadingShift(observable).design(sightings) for observable in ("distance", "azimuth", "elevation")
@@ -211,7 +212,7 @@ class ShiftCandidate:
     """Candidate hypothesis: shift of readings of one kind, at one station, target or instrument, from a time on."""
 
     family: ShiftFamily
-    """Family of the shift, with its kind and design matrix."""
+    """Family of the shift: all shifts of its kind, with their common design matrix."""
     place: ShiftPlace
     """Stations and targets where the shift acts."""
     onset_time: float
@@ -284,7 +285,7 @@ CAUSE_KIND_BY_BLUNDER: dict[str, CauseKind] = {
     "face-confusion": "unit",
     "outlier": "height",
 }
-"""Kind of cause under which a blunder is reported, by the name of the catalogue effect that represents the blunder."""
+"""Kind of cause under which a blunder is reported, by the name of the blunder in the list of physical effects."""
 
 
 def row_corrections(fit: NetworkFit) -> list[CauseHypothesis]:
@@ -352,16 +353,16 @@ def reference_point_exchanges(recording: Recording) -> list[CauseHypothesis]:
 
 
 def _swapped_order(n_points: int, first_index: int, second_index: int) -> list[int]:
-    """Indices 0 to `n_points` - 1 in order, with two indices exchanged."""
+    """Indices 0 to `n_points` - 1 in ascending order, with `first_index` and `second_index` exchanged."""
     order = list(range(n_points))
     order[first_index], order[second_index] = second_index, first_index
     return order
 
 
 def noise_hypotheses(fit: NetworkFit) -> Iterator[tuple[CauseHypothesis, Bools]]:
-    """Noise hypotheses, each with the mask (n, 3) of the readings of n pointings whose noise may differ from declared.
+    """Hypotheses that the noise differs from the declared noise, each with the mask (n, 3) of the affected readings.
 
-    They act on all readings, one observable, both angles, one target, or one station.
+    The hypotheses concern all readings of the n pointings, one observable, both angles, one target, or one station.
     """
     recording = fit.recording
     full_mask = np.ones((len(recording), 3), dtype=bool)

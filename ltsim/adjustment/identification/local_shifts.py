@@ -33,7 +33,7 @@ class LocalShiftProblem:
     is_outlier: Bools
     """Flags (m,), True for those of the m readings that are outliers of the network fit without the shift."""
     is_acting_parameter: Bools
-    """Flags (q,), True for those r of the q parameters of the shift that change any of the m readings."""
+    """Flags (q,), True for those r of the q parameters of the shift that change at least one of the m readings."""
 
     @classmethod
     def from_design(cls, design: Floats, residuals: Floats, is_outlier: Bools) -> LocalShiftProblem:
@@ -87,9 +87,10 @@ def fit_local_shifts(shifts: Sequence[LocalShiftProblem], outlier_cost: float) -
 
 
 def _batches(shifts: Sequence[LocalShiftProblem]) -> Iterator[list[int]]:
-    """Batches of indices of shifts with equal numbers of parameters, to be fitted together; ordered by reading number.
+    """Indices of shifts that are fitted together, in groups with equal numbers of parameters.
 
-    The design matrices of a batch together have at most `MAX_TEMPORARY_ENTRIES` entries.
+    Within a group the shifts with fewer readings come first. The design matrices of a group together have at most
+    `MAX_TEMPORARY_ENTRIES` entries.
     """
     batch: list[int] = []
     for i in sorted(range(len(shifts)), key=lambda i: shifts[i].unit_columns.shape[::-1]):
@@ -111,7 +112,8 @@ def _robust_parameters(
 
     `unit_columns` (h, m, r) are the design matrices, `residual` (h, m) the residuals, `is_outlier` (h, m) flags
     outliers. `is_used` (h, m) is False for padding of shifts with fewer readings. A single parameter starts at the
-    median of residual divided by design over the outliers, several at a fit of least absolute deviations.
+    median of residual divided by design over the outliers, several parameters at a fit of least absolute deviations.
+    Each reading contributes at most `outlier_cost` to the negative log likelihood.
     """
     if unit_columns.shape[2] == 1:
         column = unit_columns[:, :, 0]

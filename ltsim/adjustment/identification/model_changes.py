@@ -47,7 +47,7 @@ def start_parameter_values(
 def subtract_shifts(
     recording: Recording, hypotheses: Sequence[CauseHypothesis], approximate_sightings: Sightings
 ) -> Recording:
-    """Recording from whose readings the shifts of the hypotheses are subtracted, with their start values as sizes.
+    """Recording from whose readings the shifts of the hypotheses are subtracted; their sizes are the start values.
 
     `approximate_sightings` are the ranges and directions at which the shifts are computed.
     """

@@ -15,15 +15,16 @@ from ltsim.physics.effects.station_bump import StationBump
 
 MIN_MOTION_SIGMAS_FOR_REFINEMENT = 1000.0
 """Smallest size of a sudden station motion, in its standard deviations, at which other times of the motion are fitted
-too. A smaller motion does not distort the network so much that the screening selects a wrong time.
+too. A smaller motion does not distort the network so much that a linear approximation selects a wrong time.
 """
 
 
 def refine_motion_time(fit: NetworkFit) -> NetworkFit:
     """Fit with an improved time of a sudden station motion, if this is the hypothesis selected last.
 
-    The screening of times is linear. A large motion distorts the network in which it is screened, so that the selected
-    time may be several pointings off. The pointings between both times would then appear as further causes.
+    The time was selected by a linear approximation in the network without the motion. A large motion distorts this
+    network, so that the selected time may be several pointings off. The pointings between the selected and the true
+    time would then appear as further causes.
     """
     *others, last = fit.hypotheses
     change = last.model_change

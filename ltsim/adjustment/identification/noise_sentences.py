@@ -13,32 +13,32 @@ from ltsim.core.notation import names_text
 from ltsim.recordings.recording import OBSERVABLES, SIGMA_COLUMNS
 from ltsim.recordings.specification import noise_origin
 
-DECLARE_NOISE_TEXT = "declare this noise in the set-up"
-"""Advice on a noise hypothesis if its values for `[instrument.noise]` are unknown."""
+DECLARE_NOISE_TEXT = "declare this noise in setup.toml, [instrument.noise]"
+"""Advice on noise that differs from the declared noise, if its values for `[instrument.noise]` are unknown."""
 NOISE_READING_TEXTS = {"noise": "the readings", "angles": "the azimuths and elevations"}
-"""Texts for the readings on which a noise hypothesis acts, for hypotheses on more than one observable."""
+"""Texts for the readings whose noise may differ from the declared noise, for hypotheses on more than one observable."""
 
 
 def estimated_noise_factor(fit: NetworkFit, hypothesis: CauseHypothesis) -> float:
-    """Estimated factor of a selected noise hypothesis on the declared standard deviations (median over readings)."""
+    """Estimated factor of a selected hypothesis on the declared standard deviations (median over readings)."""
     assert isinstance(hypothesis.model_change, NoiseFactorChange)
     mask = hypothesis.model_change.reading_mask & fit.problem.is_used_reading
     return float(np.median(fit.problem.reading_sigmas[mask] / fit.fit_input.recording.reading_sigmas()[mask]))
 
 
 def noise_sentence(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
-    """Sentence on a selected noise hypothesis, with the factor on the declared noise and the noise to declare."""
+    """Sentence on a hypothesis on the noise, with the factor on the declared noise and the noise to declare."""
     place_text = ", ".join((*hypothesis.stations, *hypothesis.targets))
     readings_text = NOISE_READING_TEXTS.get(hypothesis.acts_on, f"the readings of the {hypothesis.acts_on}")
     place_phrase = f" {'from' if hypothesis.stations else 'to'} {place_text}" if place_text else ""
-    cure = _noise_declaration(fit, hypothesis) if not place_text else "measure again, or correct the set-up"
+    cure = _noise_declaration(fit, hypothesis) if not place_text else "measure again, or correct the declared noise"
     factor = estimated_noise_factor(fit, hypothesis)
     origin = noise_origin(fit.fit_input.recording.notes)
     return f"The standard deviation of {readings_text}{place_phrase} is {factor:.2g} times the {origin} one: {cure}."
 
 
 def _noise_declaration(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
-    """Advice to declare the estimated noise in the set-up, as the end of a sentence.
+    """Advice to declare the estimated noise in `setup.toml`, as the end of a sentence.
 
     For a single instrument and a recording without columns of standard deviations it contains the values to declare.
     """

@@ -49,8 +49,8 @@ def _entry_of_nearest_nominal_size(
 ) -> NominalEntryT | None:
     """Entry of the nominal size [m] that agrees with the absolute value of an offset, `value` [m].
 
-    The result is None if no nominal size is nearer to it than `MAX_DIFFERENCE_FROM_NOMINAL_SIZE`, or if the standard
-    deviation `sigma` [m] of the offset exceeds this limit.
+    The result is None if no nominal size is nearer to the offset than `MAX_DIFFERENCE_FROM_NOMINAL_SIZE`, or if the
+    standard deviation `sigma` [m] of the offset exceeds this limit.
     """
     close = [
         entry

@@ -27,7 +27,7 @@ RECOMMENDATION_BY_CAUSE_KIND = {
     "names": "Correct the names{at_place} in the recording.",
     "unit": "Read the recording again with the right unit{at_place}.",
     "height": "Check the heights of the instrument and of the targets{at_place}.",
-    "noise-level": "Find the cause of the scatter{at_place}, or declare this noise in the set-up.",
+    "noise-level": "Find the cause of the scatter{at_place}, or declare this noise in setup.toml, [instrument.noise].",
 }
 """Sentence on the next action, by kind of cause. `place` is replaced by the names of the stations and targets,
 `at_place` by these names after the word "at", `setups` by the set-ups to measure again, `rows` by the pointing with its
@@ -83,7 +83,7 @@ def recommendation_at_place(
 def recommendations_for_causes(tests: Iterable[CauseTest]) -> list[str]:
     """Sentences on next actions after all identified causes that are faults, in their order and without repetitions.
 
-    If the vertical index differs at several set-ups, a sentence on its drift follows.
+    If the vertical index differs at several set-ups, a sentence on its drift is added at the end.
     """
     faults = [test for test in tests if test.is_fault]
     actions = [recommendation_for_cause(test) for test in faults]

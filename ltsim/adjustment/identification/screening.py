@@ -46,10 +46,9 @@ MIN_OUTLIERS_FOR_DISTANCE_TRIAL = 6
 """Number of outliers in a network, above which trial fits without the distances of one station or target are made."""
 MIN_GROSS_FRACTION_FOR_TRIAL = 0.4
 """Fraction of gross errors among the pointings of a station or target, above which a motion of the target is tested, or
-a trial fit without these distances is made."""
+a trial fit without the distances is made."""
 MAX_FITTED_HYPOTHESES = 4
-"""Largest number of hypotheses that one step of the selection fits; also the limit for failed fits and for trial
-fits."""
+"""Largest number of hypotheses that one step of the selection fits; also of failed fits and of trial fits."""
 MIN_SCALE_TEST_LENGTHS = 2
 """Smallest number of reference lengths for a test of their common scale error."""
 ScreenedHypothesis = tuple[float, CauseHypothesis]
@@ -125,7 +124,7 @@ def _best_onset_per_place(
 
 
 def _projected_log_evidence_gains(residual_space: ResidualSpace, candidates: Sequence[ShiftCandidate]) -> Floats:
-    """Gains (h,) of log evidence by each of h candidate shifts, by projection of their design onto a residual space."""
+    """Gains (h,) of log evidence by h candidate shifts, from residuals after projection off all unknowns of a fit."""
     gains = np.full(len(candidates), -np.inf)
     indices = np.arange(len(candidates))
     n_entries = np.array([residual_space.n_equations * c.family.design.shape[2] for c in candidates], dtype=np.int64)
@@ -159,7 +158,7 @@ def _log_evidence_gain(chi2_drop: float, rank: int) -> float:
 
 
 def _whitened_design(residual_space: ResidualSpace, candidate: ShiftCandidate) -> Floats:
-    """Whitened design columns (m, q) of a candidate shift with q parameters, for m equations."""
+    """Whitened design columns (m, q) of a candidate shift with q parameters, for the m equations of an adjustment."""
     design = np.zeros_like(candidate.family.design)
     design[candidate.affected_rows] = candidate.family.design[candidate.affected_rows]
     return residual_space.whiten(design)
@@ -168,7 +167,7 @@ def _whitened_design(residual_space: ResidualSpace, candidate: ShiftCandidate) -
 def _approximate_log_evidence_gains(space: ResidualSpace, candidates: Sequence[ShiftCandidate]) -> Floats:
     """Approximate gains (h,) of log evidence by each of h candidate shifts, without projection.
 
-    Each gain uses only the residuals of the readings that the candidate shifts, weighted by their redundancy numbers.
+    Each gain uses only residuals (from `space`) of readings that the candidate shifts, weighted by redundancy.
     """
     use, count = space.is_used_reading, int(space.is_used_reading.sum())
     residual, share = np.zeros(use.shape), np.zeros(use.shape)
@@ -287,8 +286,8 @@ def _distance_trial_hypotheses(fit: NetworkFit, candidates: Sequence[ShiftCandid
     """Hypotheses of offsets and scale errors of distances at the stations and targets with most outliers, with gains.
 
     Distances with large errors displace the target or station, so that its angles have large residuals too. The network
-    is therefore fitted without these distances, and the error follows from their residuals. The list is empty if gross
-    pointings are frequent in the whole recording. Each hypothesis is preceded by its gain of log evidence.
+    is therefore fitted without these distances, and the error is estimated from their residuals. The list is empty if
+    gross pointings are frequent in the whole recording. Each hypothesis is preceded by its gain of log evidence.
     """
     gross = np.asarray((fit.is_outlier & fit.is_gross_reading).any(axis=1))
     if gross.mean() > MIN_GROSS_FRACTION_FOR_TRIAL:
@@ -365,7 +364,7 @@ def _reference_hypotheses(fit: NetworkFit, adjustment: Adjustment) -> list[Scree
 
 
 def _length_scale_hypothesis(fit: NetworkFit, residual_space: ResidualSpace) -> list[ScreenedHypothesis]:
-    """Hypothesis of different scales of reference lengths and distances, with its gain of log evidence, if possible."""
+    """Hypothesis that reference lengths and distances differ in scale, after its gain of log evidence, as a list."""
     scale = GaugeScale()
     if any(h.kind == "reference-scale" for h in fit.hypotheses) or len(fit.problem.gauge_rows) < MIN_SCALE_TEST_LENGTHS:
         return []
@@ -376,14 +375,15 @@ def _length_scale_hypothesis(fit: NetworkFit, residual_space: ResidualSpace) -> 
 
 
 def _noise_hypotheses(fit: NetworkFit) -> list[ScreenedHypothesis]:
-    """Noise hypotheses (noise of some readings is not as declared), each preceded by its gain of log evidence."""
+    """Hypotheses that noise is not as declared, each preceded by its gain of log evidence."""
     return [_best_noise_hypothesis(fit, h, readings) for h, readings in noise_hypotheses(fit)]
 
 
 def _best_noise_hypothesis(fit: NetworkFit, hypothesis: CauseHypothesis, reading_mask: Bools) -> ScreenedHypothesis:
-    """Largest gain of log evidence by a factor on the noise, and the noise hypothesis with this factor as start value.
+    """Largest gain of log evidence by a factor on the noise of some readings, and the hypothesis with this factor.
 
-    With larger noise the outliers with the smallest residuals are correct readings, as many as maximise the gain.
+    `reading_mask` (n, 3) flags the readings whose noise `hypothesis` changes. If the noise is larger than declared,
+    some outliers are correct readings: those with the smallest residuals, as many as maximise the gain.
     """
     within, out = reading_mask & fit.problem.is_used_reading, reading_mask & fit.is_outlier
     residual_sizes = np.sort(np.abs(fit.whitened_residuals[out]))

@@ -45,7 +45,7 @@ from ltsim.solve.threads import single_threaded
 MAX_SELECTED_HYPOTHESES = 8
 """Largest number of hypotheses on causes of a misfit that are selected for one network."""
 MAX_CAUSES_COMPARED_WITH_CENTRING = 3
-"""Largest number of other causes that together are compared with centring errors, by log evidence."""
+"""Largest number of causes other than centring errors that together are compared with centring errors."""
 MIN_POINTINGS_LARGE_NETWORK = 1500
 """Smallest number of pointings of a large network. If a large network passes the global test, no causes are searched,
 which saves 5 s of processor time.
@@ -60,16 +60,17 @@ level `FAMILY_WISE_LEVEL`.
 """
 MIN_REFERENCES_PER_WRONG_REFERENCE = 3
 """Smallest ratio of the number of all reference values to the number of those with large misclosures, at which the
-reference values with large misclosures are excluded before the search: the others are then a clear majority."""
+reference values with large misclosures are excluded before the search for other causes: the remaining values are a
+clear majority."""
 MIN_GAIN_FRACTION_WITHOUT_RESTART = 0.5
-"""Ratio of the gain of log evidence of a fit with one more hypothesis to the approximate gain from the screening, below
-which the fit is repeated from new start values instead of the present state."""
+"""Ratio of the gain of log evidence of a fit with one more hypothesis to the gain expected by a linear approximation,
+below which the fit is repeated from new start values instead of the present state."""
 MIN_LOG_EVIDENCE_FOR_RESTART = 50.0
-"""Smallest approximate gain of log evidence at which a fit is repeated from new start values: the gain by a shift of
-ten standard deviations. A smaller shift hardly changes the converged state."""
+"""Smallest gain of log evidence, by a linear approximation, at which a fit is repeated from new start values: the gain
+by a shift of ten standard deviations. A smaller shift hardly changes the converged state."""
 MIN_GAIN_FRACTION_FOR_RIVALS_ONLY = 0.8
-"""Ratio of the gain of log evidence by the first fitted hypothesis to its approximate gain from the screening, above
-which only rivals are fitted too: hypotheses that may explain the same readings."""
+"""Ratio of the gain of log evidence by the first fitted hypothesis to its gain by a linear approximation, above which
+only rivals are fitted too: hypotheses that may explain the same readings."""
 RankedTrialFits = tuple[tuple[CauseHypothesis, NetworkFit], ...]
 """Hypotheses that were added to a fit on trial, each with the resulting fit; the fit with the largest log evidence
 first.
@@ -89,9 +90,11 @@ class CauseSelectionState:
     indispensable_hypotheses: tuple[CauseHypothesis, ...] = ()
     """Hypotheses without which no fit was possible in an earlier step."""
     fit_before_trial_fits: NetworkFit | None = None
-    """Fit before the latest forward step; None if another step changed the fit since then."""
+    """Fit before the latest forward step (addition of a hypothesis); None if another step changed the fit since then.
+    """
     trial_fits: RankedTrialFits = ()
-    """Trial fits of the latest forward step, of which the first is `fit`; empty if another step changed the fit."""
+    """Trial fits of the latest forward step (addition of a hypothesis), the first of which is `fit`; empty if another
+    step changed the fit since then."""
 
     def trial_fits_in_place_of(self, hypothesis: CauseHypothesis) -> tuple[NetworkFit, RankedTrialFits] | None:
         """Fit without `hypothesis`, and trial fits in its place; None unless the latest forward step selected it."""
@@ -149,10 +152,11 @@ def _forward_step(state: CauseSelectionState) -> CauseSelectionState | None:
 
 
 def _backward_step(state: CauseSelectionState) -> CauseSelectionState:
-    """State without those hypotheses whose removal costs less log evidence than the smallest gain.
+    """State without those hypotheses whose removal decreases the log evidence by less than the `min_gain` of the state.
 
-    Only hypotheses that may explain the same readings as the last one are tried. Of the initial hypotheses only
-    exclusions of reference values may be removed, because no network can be fitted without the other ones.
+    Only hypotheses that may explain the same readings as the hypothesis selected last are tried. Of the initial
+    hypotheses only exclusions of reference values may be removed, because no network can be fitted without the other
+    initial hypotheses.
     """
     fit, indispensable = state.fit, state.indispensable_hypotheses
     for i, h in enumerate(fit.hypotheses[:-1]):
@@ -298,11 +302,11 @@ def _fit_best_hypotheses(
     *,
     excluded_change_types: tuple[type, ...] = (),
 ) -> RankedTrialFits:
-    """Fits with one more hypothesis, for those hypotheses with the largest approximate gains from the screening.
+    """Fits with one more hypothesis, for those hypotheses with the largest approximate gains of log evidence.
 
-    The approximate gains exceed `min_approximate_gain`. If the fit of the first hypothesis nearly reaches its
-    approximate gain, only hypotheses that may explain the same readings are fitted too; later steps select causes at
-    other stations or targets. `replaced_hypothesis` and the types of model changes `excluded_change_types` are left
+    The gains by a linear approximation exceed `min_approximate_gain`. If the fit of the first hypothesis nearly reaches
+    its approximate gain, only hypotheses that may explain the same readings are fitted too; later steps select causes
+    at other stations or targets. `replaced_hypothesis` and the types of model changes `excluded_change_types` are left
     out.
     """
     first, undetermined = 0.0, 0
@@ -335,7 +339,8 @@ def _fit_best_hypotheses(
 def refit_with_hypothesis(fit: NetworkFit, hypothesis: CauseHypothesis, approximate_gain: float) -> NetworkFit | None:
     """Fit with one more hypothesis, started at the present state, and at new start values if its gain is too small.
 
-    The gain is compared with `approximate_gain` from the screening. The result is None if no fit is possible.
+    The gain of log evidence is compared with `approximate_gain`, which a linear approximation predicts. The result is
+    None if no fit is possible.
     """
     best_fit: NetworkFit | None = None
     near = fit.adjustment.sightings
@@ -361,7 +366,7 @@ def _fit_without_hypothesis(
     """Fit without a hypothesis (None if no fit is possible), and the indispensable hypotheses.
 
     No fit is tried without one of the `indispensable_hypotheses`. If no fit is possible without the hypothesis, it is
-    added to them.
+    added to the indispensable ones.
     """
     if any(h is hypothesis for h in indispensable_hypotheses):
         return None, indispensable_hypotheses

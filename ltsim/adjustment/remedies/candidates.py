@@ -26,12 +26,11 @@ from ltsim.recordings.setup import ElevationLimits, Setup
 from ltsim.scene.visibility import SightLimits, compute_visibility
 
 VisibilityFunction = Callable[[Floats, Floats], Bools]
-"""Function from N instrument positions (N, 3) and T targets (T, 3) on a floor plan [m] to visibility flags (N, T).
-
-A flag is True if the target is in sight from the position. All are False at a position where no tripod may stand.
-"""
+"""Function from N instrument positions (N, 3) and T targets (T, 3) on a floor plan [m] to flags (N, T), True
+for targets in sight from a position. All flags are False at a position where no tripod may stand."""
 CandidateKind = Literal["pointings", "return", "station", "survey", "length", "reflectors"]
-"""Kind of a further measurement; `return` is a repeated set-up, `survey` another procedure at all stations."""
+"""Kind of a further measurement: `pointings` at the last station, `return` a repeated set-up, `station` a new set-up,
+`survey` another procedure at all stations, `length` a calibrated length, `reflectors` near reflectors."""
 CANDIDATE_KINDS_BY_EFFORT: tuple[CandidateKind, ...] = get_args(CandidateKind)
 """Kinds of further measurements, in order of increasing effort."""
 CANDIDATE_KINDS_WITH_SETUP = ("return", "station")
@@ -94,7 +93,8 @@ ADVICE_SENTENCES = {
     "determined": "{do} (information on this combination rises from {now:.0f} % to {then:.0f} %)",
     "network method": "calibrate with the method network: it determines this combination from the same recording",
     "determined already": "{do} (information on this combination is {then:.0f} %)",
-    "not determined": "no tested measurement determines it; reference points or a tighter specification may do so",
+    "not determined": "no tested measurement determines this combination; "
+    "reference points or a tighter specification may do so",
 }
 """Templates of sentences of advice by key: instructions for a measurement, and sentences on its expected benefit."""
 
@@ -123,9 +123,9 @@ class CandidateMeasurement:
     """Network that includes the proposed measurement, with predicted readings."""
 
     def make_adjustment(self) -> Adjustment | None:
-        """Adjustment of the network with the proposed measurement; None if it leaves a pose undetermined.
+        """Adjustment of the network with the proposed measurement; None if a pose remains undetermined.
 
-        This happens if an additional set-up measures too few targets.
+        A pose is undetermined if an additional set-up measures too few targets.
         """
         try:
             return self.network.make_adjustment()
@@ -147,7 +147,7 @@ class CandidateMeasurement:
 class FloorPlanTransform:
     """Transformation from the frame of the network to the floor plan; the identity if there is no floor plan.
 
-    It rotates only about the vertical, because levels are more accurate than positions on a floor plan.
+    The transformation rotates only about the vertical, because levels are more accurate than positions on a floor plan.
     """
 
     rotation_to_plan: Floats
@@ -155,7 +155,7 @@ class FloorPlanTransform:
     translation_to_plan: Floats
     """Translation (3,) [m] after the rotation to the axes of the floor plan."""
     has_plan: bool
-    """True if the set-up declares positions of stations on a floor plan."""
+    """True if `setup.toml` declares positions of stations on a floor plan."""
 
     @classmethod
     def from_recording(cls, recording: Recording, state: NetworkState) -> Self:
@@ -185,7 +185,7 @@ class FloorPlanTransform:
         return position @ self.rotation_to_plan.T + self.translation_to_plan
 
     def yaw_on_plan(self, rotation: Floats) -> float:
-        """Yaw [rad] on the floor plan of an instrument with the rotation matrix `rotation` (3, 3) in the network."""
+        """Yaw [rad] from x on the floor plan of an instrument with the rotation `rotation` (3, 3) in the network."""
         plan_rotation = self.rotation_to_plan @ rotation
         return float(np.arctan2(plan_rotation[1, 0], plan_rotation[0, 0]))
 
@@ -195,7 +195,7 @@ def pointing_candidates(
 ) -> Iterator[CandidateMeasurement]:
     """Candidates for further pointings at the last station, before the tracker is dismantled.
 
-    `suspect_targets` are names of targets that may have moved and should be measured again.
+    `suspect_targets` may have moved and are measured again; `visibility_function` states what is in sight.
     """
     recording = network.recording
     last_index = int(recording.station[np.argmax(recording.time)])
@@ -324,7 +324,7 @@ def procedure_candidates(network: PlannedNetwork) -> Iterator[CandidateMeasureme
 
 
 def _pointings_by_procedure(recording: Recording, pointing_indices: Ints, procedure: str) -> list[tuple[int, int]]:
-    """Target index and face of each additional pointing from one set-up by `procedure`, a key of the advice."""
+    """Target index and face of each additional pointing from one set-up by `procedure`, a key of `ADVICE_SENTENCES`."""
     existing = list(
         zip(recording.target[pointing_indices].tolist(), recording.face[pointing_indices].tolist(), strict=True)
     )

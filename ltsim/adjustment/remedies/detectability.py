@@ -1,4 +1,4 @@
-"""Minimal detectable size of every effect of the catalogue in a network.
+"""Minimal detectable size of every known physical effect (the catalogue of effects) in a network.
 
 An effect is detectable if the noncentrality of its change of the residuals reaches the noncentrality at which the test
 has a power of 80 % (`reliability.noncentrality`). A diagnosis tests each effect in many variants: at all stations,
@@ -29,7 +29,7 @@ from ltsim.physics.effects import CATALOGUE, ORDINARY_CALIBRATION_EFFECTS
 from ltsim.physics.effects.effect import Effect, NoiseEffect, Parameter
 
 VariantT = TypeVar("VariantT")
-"""Type of the elements of a sequence of variants of an effect."""
+"""Type of the elements of a sequence of variants of an effect (stations, targets, shape parameters)."""
 MAX_EXAMINED_VARIANTS = 150
 """Largest number of variants of one effect (stations, targets, shape parameters) that are examined. Of more variants,
 evenly spaced ones in the list are examined."""
@@ -39,8 +39,9 @@ evenly spaced ones in the list are examined."""
 def search_noncentrality(dof: int, n_variants: int) -> float:
     """Noncentrality at which a diagnosis detects an effect with `dof` parameters in 80 % of cases.
 
-    The false-alarm rate is divided among all effects of the catalogue (an unknown cause counts as one more), and among
-    the `n_variants` variants of the effect: stations and targets where it acts, and values of its shape parameters.
+    The false-alarm rate is divided among all physical effects that are known (an unknown cause counts as one more), and
+    among the `n_variants` variants of the effect: stations and targets where it acts, and values of its shape
+    parameters.
     """
     return noncentrality(
         dof, alpha=GLOBAL_TEST_LEVEL, n_tests=n_variants * (len(CATALOGUE) - len(ORDINARY_CALIBRATION_EFFECTS) + 1)
@@ -115,7 +116,7 @@ class EffectDetectability:
 
 
 def _noise_effect_information(residual_space: ResidualSpace, variants: Sequence[NoiseEffect]) -> list[Floats]:
-    """Information matrices of the parameters of noise effects, one per effect in `variants`.
+    """Information matrices of the parameters of effects on the noise, one per effect in `variants`.
 
     Element (i, j) is half the trace of P D_i P D_j. P is the projector onto the residual space, D_i the diagonal matrix
     of the derivatives of the whitened variances by parameter i, by differences over a tenth of its plausible size.
@@ -141,7 +142,7 @@ def _noise_effect_information(residual_space: ResidualSpace, variants: Sequence[
 
 
 def detectability_of_variants(residual_space: ResidualSpace, variants: Sequence[Effect]) -> EffectDetectability | None:
-    """Detectability of one effect in all its `variants`; None if no variant changes the residuals."""
+    """Detectability of one effect in its `variants` (places, shape parameters); None if none changes the residuals."""
     selected_variants = subsample_evenly(variants)
     noises = [effect for effect in selected_variants if isinstance(effect, NoiseEffect)]
     visible_effects: list[tuple[Effect, Floats, float, int, Floats]] = []
@@ -196,7 +197,7 @@ def visible_information(
 def _minimal_detectable_sizes(information: Floats, noncentrality: float) -> Floats:
     """Minimal detectable sizes (q,) of q parameters, each acting alone, from their information matrix (q, q).
 
-    A size is infinite if there is no information. `noncentrality` is that of detection.
+    A size is infinite without information on the parameter. `noncentrality` is that at which an effect is detected.
     """
     diagonal = np.diag(information)
     minimal_detectable_sizes = np.full(len(diagonal), np.inf)
@@ -251,7 +252,7 @@ def explained_fraction(first_detectability: EffectDetectability, second_detectab
 
 @dataclass(frozen=True)
 class CatalogueDetectability:
-    """Detectability of all effects of the catalogue in one network."""
+    """Detectability, in one network, of all physical effects of a list (catalogue)."""
 
     effects: tuple[EffectDetectability, ...]
     """Detectability of each effect that changes the residuals, or whose parameters the adjustment estimates."""
@@ -286,7 +287,7 @@ class CatalogueDetectability:
 def catalogue_detectability(
     adjustment: Adjustment, catalogue: Sequence[type[Effect] | Effect]
 ) -> CatalogueDetectability:
-    """Detectability of all effects of a catalogue in an adjusted or planned network.
+    """Detectability of all physical effects of the list `catalogue` in an adjusted or planned network.
 
     Effects whose parameters the adjustment estimates are treated as estimated, all others as tested by a diagnosis.
     """

@@ -33,7 +33,10 @@ class PossibleCause:
 
 
 def residual_space_of(adjustment: Adjustment, extra_effects: Sequence[LinearEffect] = ()) -> ResidualSpace:
-    """Residual space of an adjustment in which the parameters of `extra_effects` are estimated too."""
+    """Residual space of an adjustment in which the parameters of `extra_effects` are estimated too.
+
+    The residual space contains the whitened residuals and the projector off the design columns of all unknowns.
+    """
     return ResidualSpace.from_adjustment(adjustment).with_effects(extra_effects)
 
 
@@ -105,9 +108,10 @@ class RivalCauses:
         return min(variants[0][0] for variants in self.rival_variants)
 
     def expected_chi2_difference(self, residual_space: ResidualSpace) -> float:
-        """Expected difference of chi-square between two causes in an extended recording with `residual_space`.
+        """Expected difference of chi-square between two causes in an extended recording.
 
-        The difference is the smaller of two values: first cause true, or second cause true.
+        The difference is the smaller of two values: first cause true, or second cause true. `residual_space` contains
+        the residuals and the projector of the extended recording.
         """
         least = []
         for truth, rival_variants in zip(

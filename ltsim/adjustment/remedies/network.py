@@ -37,7 +37,7 @@ class PlannedNetwork:
     construction: GeometricErrorModel
     """Geometric error model of the instrument, whose parameters are estimated."""
     prior: ParameterPrior | None = None
-    """Prior of the instrument parameters; None for the prior of the set-up."""
+    """Prior of the instrument parameters; None for the prior in `setup.toml`."""
 
     @classmethod
     def from_adjustment(cls, adjustment: Adjustment, construction: GeometricErrorModel | None = None) -> PlannedNetwork:
@@ -90,8 +90,8 @@ class PlannedNetwork:
         """Network with k additional pointings from the stations `station` to the targets `target`.
 
         `station` and `target` (k,) are indices, `face` (k,) is 1 or 2; `station` and `face` may be one number for all
-        pointings. `time` [s] is the time of each additional pointing (k,), or of the first one; by default they follow
-        the last pointing of the recording.
+        pointings. `time` [s] is the time of each additional pointing (k,), or of the first one; by default the
+        additional pointings come after the last pointing of the recording.
         """
         recording, count, step = self.recording, len(target), self.seconds_per_pointing
         times = np.asarray(recording.time.max(initial=-step) + step if time is None else time)
@@ -129,7 +129,7 @@ class PlannedNetwork:
         return replace(self, recording=full_recording.with_readings(np.concatenate([recording.readings, prediction])))
 
     def with_station(self, name: str, template_station: int, position: Floats, rotation: Floats) -> PlannedNetwork:
-        """Network with an additional set-up at a position (3,) [m] with a rotation matrix (3, 3).
+        """Network with an additional set-up `name` at a position (3,) [m] with a rotation matrix (3, 3).
 
         Instrument and levelling are copied from the station with the index `template_station`.
         """

@@ -35,8 +35,8 @@ from ltsim.recordings.exchange import RecordingSource, load_recording
 MIN_DECISIVE_CHI2 = 10.0
 """Smallest expected difference of chi-square at which two possible causes count as distinguished."""
 N_EVALUATED_CANDIDATE_STATIONS = 24
-"""Number of candidate stations for which the evidence between possible causes is computed: the stations that give most
-information on the instrument."""
+"""Number of candidate stations for which the expected difference of chi-square between causes is computed: the stations
+that give most information on the instrument."""
 DEFAULT_MOVE_TIME = 1200.0
 """Default time [s] to move the instrument and to set it up again."""
 

@@ -92,7 +92,7 @@ def undetermined_combinations(covariance: Floats, prior_sigma: Floats) -> list[P
 
 
 def _index_of_first_largest(sizes: Floats) -> int:
-    """Index of the first value that is the largest up to rounding."""
+    """Index of the first of the `sizes` that equals the largest one up to rounding."""
     return int(np.flatnonzero(sizes >= (1.0 - NORMAL_EQUATIONS_TOLERANCE) * sizes.max())[0])
 
 
@@ -207,7 +207,7 @@ def _measurement_for_combination(
     """Measurement that determines one combination of parameters.
 
     `candidates_with_gains` contains the instruction of each candidate measurement and the gain of the combination with
-    it (fraction of the prior variance that the readings remove); `present_gain` is the gain without it.
+    this measurement (fraction of the prior variance that the readings remove); `present_gain` is the gain without it.
     """
     if present_gain >= MIN_DETERMINED_GAIN > combination.gain:
         instruction = advice_sentence("network method")

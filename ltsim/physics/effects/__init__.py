@@ -107,10 +107,10 @@ def _instrument_parameter_text_by_name() -> dict[str, str]:
 
 
 COMPONENT_TEXT_BY_NAME_ENDING = {"cos": "cosine", "sin": "sine", "lateral": "lateral", "vertical": "vertical"}
-"""Words for users for the component of an effect with two parameters (cosine and sine, lateral and vertical), by the
-ending of the parameter's name."""
+"""Words, shown to users, for the component of an effect with two parameters (cosine and sine, lateral and vertical), by
+the ending of the parameter's name."""
 INSTRUMENT_PARAMETER_TEXT_BY_NAME = _instrument_parameter_text_by_name()
-"""Descriptions for users of the 16 parameters of an ordinary calibration, by the name of the parameter."""
+"""Descriptions, shown to users, of the 16 parameters of an ordinary calibration, by the name of the parameter."""
 
 
 def parameter_text(name: str) -> str:

@@ -29,7 +29,7 @@ class AirGradient(WarmAirEffect):
     Validity: up to some kelvin per metre; the vertical is the z axis of the network frame.
     Source: Born and Wolf, Principles of Optics, section 3.2 (ray equation); Ciddor 1996, Appl. Opt. 35, 1566,
     doi:10.1364/AO.35.001566 (beta). The absorption by the network is derived here.
-    Validation: first order validated against the integrated ray; absorption by the network reproduced.
+    Validation: first-order form validated against the integrated ray; absorption by the network reproduced.
     """
 
     sensor: Literal["room", "head"] = "room"

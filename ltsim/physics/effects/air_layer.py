@@ -9,9 +9,9 @@ from ltsim.physics.effects.rays import TemperatureField, WarmAirEffect
 from ltsim.scene.sightings import Sightings
 
 N_CANDIDATE_LAYER_HEIGHTS = 7
-"""Number of heights of the warm layer that a search tries, between the lowest and the highest target or station."""
+"""Number of heights of the warm layer that a diagnosis tries, between the lowest and the highest target or station."""
 CANDIDATE_TRANSITION_WIDTHS = (0.15, 0.5)
-"""Widths [m] that a search tries for the transition from the cool air to the warm layer."""
+"""Widths [m] that a diagnosis tries for the transition from the cool air to the warm layer."""
 
 
 def _point_heights(sightings: Sightings) -> Floats:
@@ -38,7 +38,7 @@ class AirLayer(WarmAirEffect):
     network's z axis.
     Source: Born and Wolf, Principles of Optics, section 3.2 (ray equation); Ciddor 1996, Appl. Opt. 35, 1566,
     doi:10.1364/AO.35.001566 (index).
-    Validation: first order validated against the integrated ray.
+    Validation: first-order form validated against the integrated ray.
     """
 
     height: float = 4.0

@@ -15,9 +15,10 @@ class AzimuthEccentricity(ChainErrorEffect):
     Similar to: bearing-wobble, radial run-out of order 2 (correlation 0.92 in one face, 0 in two).
     Separate by: two faces; another yaw at each station, without which the error depends on the direction in the hall.
     Validity: first order of one read head; two opposite heads cancel it to second order.
-    Source: Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35, doi:10.6028/jres.114.003 (x6x, x6y); Muralikrishnan et
-    al. 2010, J. Res. NIST 115, 291-301, doi:10.6028/jres.115.022.
-    Validation: validated against the exact chain in first order, and against the columns of the D-H chain.
+    Source: Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35, doi:10.6028/jres.114.003 (parameters x6x, x6y);
+    Muralikrishnan et al. 2010, J. Res. NIST 115, 291-301, doi:10.6028/jres.115.022.
+    Validation: validated against the exact kinematic chain in first order, and against the columns of the
+    Denavit-Hartenberg chain.
     """
 
     name = "azimuth-eccentricity"

@@ -16,7 +16,7 @@ class AzimuthHarmonic(CircleHarmonic):
     Validity: m up to 8; some thirty directions cannot determine higher orders.
     Source: Lu, Graetz, Amin-Shahidi and Smeds 2010, On-axis self-calibration of angle encoders, CIRP Annals 59,
     529-534; Muralikrishnan et al. 2010, J. Res. NIST 115, 291-301, doi:10.6028/jres.115.022 (parity).
-    Validation: validated against the exact chain in first order, face parity and sign.
+    Validation: validated against the exact kinematic chain in first order, face parity and sign.
     """
 
     name = "azimuth-harmonic"

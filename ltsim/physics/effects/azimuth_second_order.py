@@ -15,8 +15,9 @@ class AzimuthSecondOrder(ChainErrorEffect):
     Separate by: one length measured at many azimuths; another yaw at each station.
     Validity: up to 10 urad.
     Source: Muralikrishnan et al. 2010, J. Res. NIST 115, 291-301, doi:10.6028/jres.115.022 (sizes and method);
-    Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35, doi:10.6028/jres.114.003 (x9a, x9b).
-    Validation: validated against the exact chain in first order, and against the columns of the D-H chain.
+    Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35, doi:10.6028/jres.114.003 (parameters x9a, x9b).
+    Validation: validated against the exact kinematic chain in first order, and against the columns of the
+    Denavit-Hartenberg chain.
     """
 
     name = "azimuth-second-order"

@@ -15,8 +15,9 @@ class BeamOffset(ChainErrorEffect):
     (0.89, 0.95), which differ from it only in their dependence on the range.
     Separate by: two faces; targets at 1 to 1.5 m and at 8 m.
     Validity: source in the rotating head; up to 0.1 mm.
-    Source: Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35, doi:10.6028/jres.114.003 (x1t, x1m).
-    Validation: validated against the exact chain in first order, and against the columns of the D-H chain.
+    Source: Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35, doi:10.6028/jres.114.003 (parameters x1t, x1m).
+    Validation: validated against the exact kinematic chain in first order, and against the columns of the
+    Denavit-Hartenberg chain.
     """
 
     name = "beam-offset"

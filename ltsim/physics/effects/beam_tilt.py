@@ -15,9 +15,10 @@ class BeamTilt(ChainErrorEffect):
     beam-offset (0.46, 0.95). In one face poses and targets absorb 99 % of it.
     Separate by: two faces; steep and level targets.
     Validity: source in the rotating head; up to 100 urad.
-    Source: Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35, doi:10.6028/jres.114.003 (x4t); Deumlich and Staiger
-    2002, Instrumentenkunde der Vermessungstechnik (collimation of a theodolite).
-    Validation: validated against the exact chain in first order, and against the columns of the D-H chain.
+    Source: Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35, doi:10.6028/jres.114.003 (parameter x4t); Deumlich and
+    Staiger 2002, Instrumentenkunde der Vermessungstechnik (collimation of a theodolite).
+    Validation: validated against the exact kinematic chain in first order, and against the columns of the
+    Denavit-Hartenberg chain.
     """
 
     name = "beam-tilt"

@@ -17,8 +17,7 @@ CHAIN_ERROR_KEYS_BY_BEARING_MOTION = {
     "tilt": ("standing-tilt-x", "standing-tilt-y"),
     "radial": ("standing-radial-x", "standing-radial-y"),
 }
-"""Keys (`error_key`) of the two errors of the kinematic chain that each kind of bearing motion changes: along or
-about x and y."""
+"""Keys of the two errors of the kinematic chain that each kind of bearing motion changes: along or about x and y."""
 CANDIDATE_BEARING_MOTIONS: tuple[tuple[BearingMotionKind, int], ...] = (
     ("tilt", -1),
     ("tilt", 2),
@@ -27,7 +26,7 @@ CANDIDATE_BEARING_MOTIONS: tuple[tuple[BearingMotionKind, int], ...] = (
     ("radial", 3),
     ("transit", 2),
 )
-"""Bearing motions that a search tries: pairs of a kind of motion and its number of periods per turn."""
+"""Bearing motions that a diagnosis tries: pairs of a kind of motion and its number of periods per turn."""
 
 
 @dataclass(frozen=True)
@@ -49,11 +48,12 @@ class BearingWobble(Effect):
     Separate by: two faces (odd n), a change of yaw, an electronic level on the head during a turn.
     Validity: orders up to 3, which repeat in every turn. The passage of balls does not repeat; it is noise.
     Source: ISO 230-7:2015 (axial, radial and tilt error motion); the algebra is derived here.
-    Validation: validated against the exact rotation of the base and against finite differences of the chain.
+    Validation: validated against the exact rotation of the base and against finite differences of the kinematic chain.
     """
 
     kind: BearingMotionKind = "tilt"
-    """Kind of error motion of the bearing (see `BearingMotionKind`)."""
+    """Kind of error motion of the bearing: `tilt` or `radial` (run-out) of the standing axis, or `transit` (tilt of the
+    transit axis)."""
     order: int = 2
     """Number of periods of the error motion per turn of the axis; negative if it rotates against the axis."""
 

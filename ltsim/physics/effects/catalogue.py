@@ -263,7 +263,7 @@ def invalid_effect_reason(effect_class: object) -> str:
     units = {p.name: p.unit for p in effect_class.parameters} | {s.name: s.unit for s in effect_class.shape_parameters}
     return next(
         (
-            f"the unit '{u}' of {name} is none of {permitted_units_text()}"
+            f"the unit '{u}' of {name} is not one of {permitted_units_text()}"
             for name, u in units.items()
             if u not in SI_PER_UNIT
         ),

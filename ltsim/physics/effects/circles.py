@@ -7,7 +7,7 @@ from ltsim.physics.effects.effect import ChainErrorEffect, ChainErrorTerm, Harmo
 from ltsim.scene.sightings import Sightings
 
 CANDIDATE_HARMONIC_ORDERS = range(3, 9)
-"""Orders (numbers of periods per turn) of the graduation harmonics that a search tries."""
+"""Orders (numbers of periods per turn) of the graduation harmonics that a diagnosis tries."""
 READING_COLUMN_BY_CIRCLE = {"azimuth": 1, "elevation": 2}
 """Column of each circle's reading in an array of readings, whose columns are range, azimuth and elevation."""
 

@@ -6,7 +6,7 @@ from ltsim.physics.effects.effect import ChainErrorEffect, ChainErrorTerm, Light
 
 
 def constant_half_basis(readings: Floats) -> Floats:
-    """Values (n,) of a constant basis function at n raw readings `readings` (n, 3): 0.5 for each.
+    """Values (n,) of a constant error per unit of its parameter at n raw `readings` (n, 3): 0.5 for each.
 
     The factor 0.5 holds because the beam shifts by half the shift of the return spot on the detector.
     """

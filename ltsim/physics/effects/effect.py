@@ -143,12 +143,12 @@ class Blunder(Effect):
 
     The simulator reproduces the mistake (`measured_sightings`, `recorded_readings`), with the instrument errors and the
     noise of the point that was measured. `design` is the change of an ideal reading. Blunders are corrected before an
-    adjustment, so that a search tries none.
+    adjustment, so that a diagnosis tries none.
     """
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Empty list, because a search tries no blunders (see `possible_blunders`)."""
+        """Empty list, because a diagnosis tries no blunders (see `possible_blunders`)."""
         return []
 
     @classmethod
@@ -166,11 +166,12 @@ class Blunder(Effect):
 
 
 BasisFunction = Callable[[Floats], Floats]
-"""Function from n raw readings (n, 3) to n values (n,). A geometric error is such a function times its parameter."""
+"""Function from n raw readings (n, 3) (range [m], azimuth and elevation [rad]) to n values (n,). A geometric error is
+such a function times its parameter."""
 
 
 def constant_basis(readings: Floats) -> Floats:
-    """Values (n,) of the constant basis function at n raw readings `readings` (n, 3): 1 for each reading."""
+    """Values (n,) of a constant error per unit of its parameter at n raw readings (n, 3): 1 for each reading."""
     return np.ones(len(readings))
 
 
@@ -186,7 +187,10 @@ class HarmonicBasis:
     """Factor on the angle: number of periods per turn."""
 
     def __call__(self, readings: Floats) -> Floats:
-        """Values (n,) of the basis function at n raw readings (n, 3)."""
+        """Values (n,) of the basis function (error per unit of its parameter) at n raw readings (n, 3).
+
+        The columns of the readings are range [m], azimuth and elevation [rad].
+        """
         angle: Floats = self.order * readings[:, self.reading_column]
         return np.cos(angle) if self.function == "cos" else np.sin(angle)
 
@@ -199,19 +203,22 @@ class RangePowerBasis:
     """Exponent of the range."""
 
     def __call__(self, readings: Floats) -> Floats:
-        """Values (n,) of the basis function at n raw readings (n, 3)."""
+        """Values (n,) of the basis function (error per unit of its parameter) at n raw readings (n, 3).
+
+        The columns of the readings are range [m], azimuth and elevation [rad].
+        """
         return readings[:, 0] ** self.exponent
 
 
 @dataclass(frozen=True)
 class ChainErrorTerm:
-    """Term of a geometric error of the instrument: a parameter times a basis function.
+    """Term of a geometric error of the instrument: a parameter times a basis function of the readings.
 
     The term is added to one of the errors of the kinematic chain.
     """
 
     chain_error_key: str
-    """Key of the error in the kinematic chain (`error_key`), such as `beam-tilt`."""
+    """Key of the error in the kinematic chain, such as `beam-tilt`."""
     basis: BasisFunction = constant_basis
     """Basis function: function of the raw readings by which the parameter is multiplied."""
 
@@ -224,7 +231,7 @@ class ChainErrorEffect(Effect):
     """
 
     terms: ClassVar[tuple[ChainErrorTerm, ...]]
-    """Terms of the geometric error, one per parameter."""
+    """Terms of the geometric error, one per parameter: the parameter times a function of the readings."""
 
     def design(self, sightings: Sightings) -> Floats:
         acts = self.pointing_indicator(sightings)

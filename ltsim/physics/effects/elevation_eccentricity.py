@@ -16,8 +16,9 @@ class ElevationEccentricity(ChainErrorEffect):
     elevation-second-order sine (0.93, 0).
     Separate by: two faces (D1); a tracker that lies on its side, which distinguishes C1 from sag.
     Validity: first order of one read head.
-    Source: Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35, doi:10.6028/jres.114.003 (x7).
-    Validation: validated against the exact chain in first order, and against the columns of the D-H chain.
+    Source: Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35, doi:10.6028/jres.114.003 (parameter x7).
+    Validation: validated against the exact kinematic chain in first order, and against the columns of the
+    Denavit-Hartenberg chain.
     """
 
     name = "elevation-eccentricity"

@@ -17,7 +17,7 @@ class ElevationHarmonic(CircleHarmonic):
     Validity: m up to 8.
     Source: Lu, Graetz, Amin-Shahidi and Smeds 2010, On-axis self-calibration of angle encoders, CIRP Annals 59,
     529-534.
-    Validation: validated against the exact chain in first order, face parity and sign.
+    Validation: validated against the exact kinematic chain in first order, face parity and sign.
     """
 
     name = "elevation-harmonic"

@@ -15,8 +15,9 @@ class ElevationSecondOrder(ChainErrorEffect):
     mesh-expansion (0.50).
     Separate by: two faces (C2); more elevations.
     Validity: up to 10 urad.
-    Source: Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35, doi:10.6028/jres.114.003 (x10a, x10b).
-    Validation: validated against the exact chain in first order, and against the columns of the D-H chain.
+    Source: Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35, doi:10.6028/jres.114.003 (parameters x10a, x10b).
+    Validation: validated against the exact kinematic chain in first order, and against the columns of the
+    Denavit-Hartenberg chain.
     """
 
     name = "elevation-second-order"

@@ -24,7 +24,7 @@ CANDIDATE_SIGNAL_PERIODS = (
     32_768,
     36_000,
 )
-"""Numbers of signal periods per turn that a search tries, because encoders on the market have them: powers of two,
+"""Numbers of signal periods per turn that a diagnosis tries, because encoders on the market have them: powers of two,
 and whole fractions of a degree."""
 
 
@@ -40,12 +40,12 @@ class EncoderInterpolation(ChainErrorEffect):
     Similar to: white noise of that angle.
     Separate by: a repeat with the base turned by a known fraction of the period; a target moved in small steps along an
     arc.
-    Validity: N known from the data sheet, or one of the usual numbers, which a search tries; some hundred pointings
+    Validity: N known from the data sheet, or one of the usual numbers, which a diagnosis tries; some hundred pointings
     cannot determine N among all integers. An error e of x changes the phase by N e, for example 15 urad by 0.5 rad at N
     = 36 000. The phase is therefore computed from readings that include the instrument's errors.
     Source: Heydemann 1981, Appl. Opt. 20, 3382, doi:10.1364/AO.20.003382 (why a quadrature signal leaves such an
     error); sizes are general knowledge.
-    Validation: validated against the exact chain for N up to 36 000.
+    Validation: validated against the exact kinematic chain for N up to 36 000.
     """
 
     circle: Literal["azimuth", "elevation"] = "azimuth"

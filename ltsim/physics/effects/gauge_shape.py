@@ -42,7 +42,7 @@ class GaugeShape(Effect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Moved nests that a diagnosis tries, one per target; it drops those that change no known length."""
+        """Moved nests that a diagnosis tries, one per target; nests that change no known length are dropped later."""
         return [cls((), (name,), i) for i, name in enumerate(sightings.target_names)]
 
     def design(self, sightings: Sightings) -> Floats:

@@ -10,19 +10,19 @@ from ltsim.scene.regions import HallRegion, candidate_regions
 from ltsim.scene.sightings import Sightings
 
 N_CANDIDATE_PLUME_AZIMUTHS = 8
-"""Number of azimuths in which a search tries centres of plumes around a station."""
+"""Number of azimuths in which a diagnosis tries centres of plumes around a station."""
 CANDIDATE_PLUME_ELEVATIONS = (-0.6, 0.0, 0.6)
-"""Elevations [rad], in addition to zenith and nadir, in which a search tries centres of plumes around a station."""
+"""Elevations [rad], in addition to zenith and nadir, in which a diagnosis tries centres of plumes around a station."""
 CANDIDATE_PLUME_DISTANCE = 0.5
-"""Distance [m] from a station at which a search tries centres of plumes."""
+"""Distance [m] from a station at which a diagnosis tries centres of plumes."""
 CANDIDATE_PLUME_CENTRE_SHIFTS = (0.2, 0.08)
 """Shifts [m] of the centre of a plume that a local search tries along each axis."""
 CANDIDATE_STATION_PLUME_RADIUS = 0.25
-"""Radius [m] of the plumes that a search tries near a station."""
+"""Radius [m] of the plumes that a diagnosis tries near a station."""
 CANDIDATE_TARGET_PLUME_RADIUS = 0.5
-"""Radius [m] of the plumes that a search tries at a target."""
+"""Radius [m] of the plumes that a diagnosis tries at a target."""
 MAX_PLACES_WITH_CANDIDATE_PLUMES = 40
-"""Number of stations above which a search tries no plumes near stations, and number of targets above which it tries
+"""Number of stations above which a diagnosis tries no plumes near stations, and number of targets above which it tries
 no plumes at targets. The limit saves time."""
 
 
@@ -47,11 +47,11 @@ class HeatPlume(WarmAirEffect):
     Size: 5 K over 0.5 m changes a range by 2.3 um. At the head a gradient of 5 K in 0.2 m bends the beam by 7 urad.
     Similar to: near a station a tilt of the station and index-drift; near a target a constant error of its ranges.
     Separate by: a fan that is switched on and off; a repeat after cooling; the scatter of repeats by direction.
-    Validity: the plume acts always, or while its station or target is measured. A search tries centres half a metre
+    Validity: the plume acts always, or while its station or target is measured. A diagnosis tries centres half a metre
     from each station, at targets, and on a grid over the hall, and then refines centre and radius.
     Source: Born and Wolf, Principles of Optics, section 3.2 (ray equation); Ciddor 1996, Appl. Opt. 35, 1566,
     doi:10.1364/AO.35.001566 (index).
-    Validation: first order validated against the integrated ray; the Gaussian form is a choice.
+    Validation: first-order form validated against the integrated ray; the Gaussian form is a choice.
     """
 
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)

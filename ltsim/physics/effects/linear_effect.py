@@ -34,9 +34,9 @@ class Parameter:
     unit: str
     """Display unit, a key of `units.SI_PER_UNIT`; all computations use SI units."""
     description: str
-    """Description for users, such as `delay of the range`."""
+    """Description, shown to users, such as `delay of the range`."""
     prior_sigma: float
-    """Prior standard deviation [SI] if the specification of the instrument states none. A search uses it as
+    """Prior standard deviation [SI] if the specification of the instrument states none. A diagnosis uses it as
     plausible size of the parameter."""
     specified_quantity: SpecifiedQuantity | None = None
     """Quantity (such as `angle`) whose standard deviation in the instrument's specification is the prior standard
@@ -84,7 +84,7 @@ def axis_parameters(name: str, unit: str, description: str, prior_sigma: float) 
 class ShapeParameter:
     """Shape parameter: a constant (period, time constant, onset time) on which the readings depend nonlinearly.
 
-    A shape parameter is a field of its effect. A search tries values between two bounds.
+    A shape parameter is a field of its effect. A diagnosis tries values between two bounds.
     """
 
     name: str
@@ -92,20 +92,20 @@ class ShapeParameter:
     unit: str
     """Display unit, a key of `units.SI_PER_UNIT`."""
     description: str
-    """Description for users, such as `width of the transition`."""
+    """Description, shown to users, such as `width of the transition`."""
     lower_bound: float
-    """Smallest value [SI] that a search tries."""
+    """Smallest value [SI] that a diagnosis tries."""
     upper_bound: float
-    """Largest value [SI] that a search tries."""
+    """Largest value [SI] that a diagnosis tries."""
     has_logarithmic_grid: bool = False
-    """True if the values that a search tries are evenly spaced in their logarithm."""
+    """True if the values that a diagnosis tries are evenly spaced in their logarithm."""
     n_grid_values: int = 9
-    """Number of values that a search tries."""
+    """Number of values that a diagnosis tries."""
     has_reciprocal_grid: bool = False
-    """True if the values that a search tries are evenly spaced in their reciprocal (such as wavelengths)."""
+    """True if the values that a diagnosis tries are evenly spaced in their reciprocal (such as wavelengths)."""
 
     def grid_values(self) -> Floats:
-        """Values (n_grid_values,) [SI] of the shape parameter, from bound to bound, that a search tries.
+        """Values (n_grid_values,) [SI] of the shape parameter, from bound to bound, that a diagnosis tries.
 
         They are evenly spaced, in the logarithm if `has_logarithmic_grid`, in the reciprocal if `has_reciprocal_grid`.
         """
@@ -221,7 +221,7 @@ def _has_permitted_name(
 
 
 class CandidateEffect(LinearEffect, Protocol):
-    """Interface of an effect that a search compares with other effects; it may have shape parameters."""
+    """Interface of an effect that a diagnosis compares with other effects; it may have shape parameters."""
 
     shape_parameters: ClassVar[tuple[ShapeParameter, ...]] = ()
     """Shape parameters (period, time constant, onset time) of the effect; the value of each is a field of the

@@ -31,7 +31,7 @@ class MeshExpansion(TargetDisplacementEffect):
     common motion.
     Source: Bryan 1990, International status of thermal error research, CIRP Annals 39, 645-656; the law is derived
     here.
-    Validation: first order validated against the exact motion, and against the range scale drift in the network.
+    Validation: first-order form validated against the exact motion, and against the range scale drift in the network.
     """
 
     mode: Literal["uniform", "vertical"] = "uniform"

@@ -13,7 +13,7 @@ from ltsim.scene.sightings import Sightings
 PLAUSIBLE_REFLECTOR_LIFT = 50 * MICROMETRE
 """Plausible lift [m] of a badly seated reflector from its nest."""
 MAX_STATION_TARGET_PAIRS_WITH_CANDIDATE_LIFTS = 600
-"""Number of pairs of station and target above which a search tries no lifts, because the w-test of an adjustment
+"""Number of pairs of station and target above which a diagnosis tries no lifts, because the w-test of an adjustment
 then detects them."""
 
 
@@ -31,7 +31,7 @@ class NestLift(TargetDisplacementEffect):
     Validity: 5 to 200 um; one seating per station and target, so that both faces and all repeats have the same lift.
     Source: Hughes et al. 2011, Meas. Sci. Technol. 22, 045103, doi:10.1088/0957-0233/22/4/045103 (repeatability of
     nests, second hand); Baarda 1968, A testing procedure for use in geodetic networks (its smallest detectable size).
-    Validation: first order validated against the exact motion.
+    Validation: first-order form validated against the exact motion.
     """
 
     kind: Literal["normal", "free"] = "normal"

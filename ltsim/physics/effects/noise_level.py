@@ -24,9 +24,9 @@ class NoiseLevel(NoiseEffect):
 
     name = "noise-level"
     base_rate = 4.0
-    """High relative frequency (see `Effect.base_rate`): declared standard deviations are mostly limits from a data
-    sheet, which differ from the scatter of the readings in most recordings. It is an expert judgement, as all prior
-    probabilities of causes."""
+    """High relative frequency of this effect in practice (1 means occasional): declared standard deviations are mostly
+    limits from a data sheet, which differ from the scatter of the readings in most recordings. The frequency is an
+    expert judgement, as all prior probabilities of causes."""
     min_relative_size = -0.95
     light_path_stage = LightPathStage.NOISE
     parameters = (

@@ -15,7 +15,7 @@ Observable = Literal["distance", "azimuth", "elevation"]
 READING_COLUMN_BY_OBSERVABLE: dict[Observable, int] = {"distance": 0, "azimuth": 1, "elevation": 2}
 """Column of each observable in an array of readings: distance 0, azimuth 1, elevation 2."""
 MAX_POINTINGS_WITH_CANDIDATE_OUTLIERS = 1500
-"""Number of pointings above which a search tries no outliers, because the w-test of an adjustment detects them."""
+"""Number of pointings above which a diagnosis tries no outliers, because the w-test of an adjustment detects them."""
 
 
 @dataclass(frozen=True)

@@ -10,14 +10,14 @@ from ltsim.physics.effects.effect import Effect, Parameter, ShapeParameter
 from ltsim.scene.sightings import Sightings
 
 MAX_CANDIDATE_CHANGE_TIMES = 140
-"""Largest number of times at which a search tries a sudden change, summed over all stations of a network."""
+"""Largest number of times at which a diagnosis tries a sudden change, summed over all stations of a network."""
 N_NEIGHBOURING_GAPS = 6
 """Number of gaps between pointings, before and after the time of a sudden change, to which a local search shifts the
 change."""
 
 
 def candidate_change_times(times: Floats, *, min_pointings: int, max_n_times: int) -> list[float]:
-    """Times [s] at which a search tries a sudden change: midpoints between n successive pointings at `times` (n,) [s].
+    """Times [s] at which a diagnosis tries a sudden change: midpoints between n pointings at sorted `times` (n,) [s].
 
     At least `min_pointings` pointings are before and after each change. At most `max_n_times` times are returned,
     spread evenly over the measurement.
@@ -32,7 +32,7 @@ def candidate_change_times(times: Floats, *, min_pointings: int, max_n_times: in
 
 
 def candidate_station_change_times(sightings: Sightings, *, min_pointings: int) -> list[tuple[str, float]]:
-    """Times at which a search tries a sudden change during the occupation of each station: pairs (station, time [s]).
+    """Times of sudden changes that a diagnosis tries during the occupation of each station: pairs (station, time [s]).
 
     At least `min_pointings` pointings of the station are before and after each change.
     """
@@ -47,7 +47,7 @@ def candidate_station_change_times(sightings: Sightings, *, min_pointings: int) 
 
 
 def candidate_times_between_occupations(sightings: Sightings, target_index: int, *, max_n_times: int) -> list[float]:
-    """Times [s] at which a search tries a sudden motion of a target, at most `max_n_times`.
+    """Times [s] at which a diagnosis tries a sudden motion of a target, at most `max_n_times`.
 
     They are midpoints between the pointings to the target from two successive stations, or, if only one station
     measured the target, from this station. `target_index` is the index of the target.
@@ -86,19 +86,20 @@ def recording_start_time(sightings: Sightings) -> float:
 
 
 TimeLaw = Literal["visit", "linear", "exponential"]
-"""Name of the function of time that a drift follows (see `MotionDrift.law`)."""
+"""Name of the function of time that a drift follows: ``visit`` (linear from the first pointing of each station),
+``linear`` (from the first pointing of the recording) or ``exponential``."""
 
 WARM_UP_TIME_CONSTANT_PARAMETER = ShapeParameter(
     "time_constant", "min", "time constant of the warm-up", 600.0, 14_400.0, has_logarithmic_grid=True, n_grid_values=6
 )
-"""Shape parameter for the time constant of a warm-up, with the bounds [s] between which a search tries values."""
+"""Shape parameter for the time constant of a warm-up, with the bounds [s] between which a diagnosis tries values."""
 
 
 MAX_TIME_CONSTANT_TO_DURATION_RATIO = 2.0
-"""Largest time constant of a warm-up that a search tries, divided by the duration of the recording. A warm-up with a
+"""Largest time constant of a warm-up that a diagnosis tries, divided by the duration of the recording. A warm-up with a
 larger time constant is nearly linear in time."""
 SHORT_RECORDING_TIME_CONSTANT_FRACTIONS = (0.3, 1.0)
-"""Time constants of warm-ups that a search tries in a short recording, as fractions of its duration. A recording is
+"""Time constants of warm-ups that a diagnosis tries in a short recording, as fractions of its duration. A recording is
 short if all other time constants exceed `MAX_TIME_CONSTANT_TO_DURATION_RATIO`."""
 
 
@@ -116,17 +117,17 @@ class MotionDrift(Effect):
     covariates = ("time",)
     shape_parameters = (WARM_UP_TIME_CONSTANT_PARAMETER,)
     chain_error_key: ClassVar[str]
-    """Key (`error_key`) of the error of the kinematic chain that drifts, such as `azimuth`."""
+    """Key of the error of the kinematic chain that drifts, such as `azimuth`."""
     rate_parameter: ClassVar[Parameter]
     """Parameter of the linear functions of time (``visit`` and ``linear``): rate of the correction."""
     decay_amplitude_parameter: ClassVar[Parameter]
     """Parameter of the function ``exponential``: correction at the start."""
     candidate_linear_time_laws: ClassVar[tuple[TimeLaw, ...]]
-    """Linear functions of time that a search tries at all stations together: ``visit`` (time since the station's
-    first pointing) or ``linear`` (time since the recording's first pointing). With one station, only the first of
-    them is tried."""
+    """Linear functions of time that a diagnosis tries at all stations together: ``visit`` (time since the station's
+    first pointing) or ``linear`` (time since the recording's first pointing). With one station, only the first of them
+    is tried."""
     tries_single_stations: ClassVar[bool] = False
-    """True if a search also tries drifts at single stations, in proportion to the time since the station's first
+    """True if a diagnosis also tries drifts at single stations, in proportion to the time since the station's first
     pointing."""
 
     def __post_init__(self) -> None:

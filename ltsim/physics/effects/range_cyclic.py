@@ -15,15 +15,15 @@ from ltsim.physics.effects.effect import (
 from ltsim.scene.sightings import Sightings
 
 MIN_CANDIDATE_WAVELENGTH = 0.02
-"""Shortest wavelength [m] of a cyclic range error that a search tries."""
+"""Shortest wavelength [m] of a cyclic range error that a diagnosis tries."""
 MAX_CANDIDATE_WAVELENGTH = 2.0
-"""Longest wavelength [m] of a cyclic range error that a search tries."""
+"""Longest wavelength [m] of a cyclic range error that a diagnosis tries."""
 MAX_CANDIDATE_WAVE_PHASE_ERROR = 0.125
-"""Largest phase error [periods] of the nearest wavelength that a search tries, for a wave of any wavelength. It
-determines the spacing of the wavelengths. The error occurs at both ends of the interval of measured ranges if the
-phase is right in the middle."""
+"""Largest phase error [periods] of the nearest wavelength that a diagnosis tries, for a wave of any wavelength. It
+determines the spacing of the wavelengths. The error occurs at both ends of the interval of measured ranges if the phase
+is right in the middle."""
 MAX_N_CANDIDATE_WAVELENGTHS = 1200
-"""Largest number of wavelengths of a cyclic range error that a search tries."""
+"""Largest number of wavelengths of a cyclic range error that a diagnosis tries."""
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,10 @@ class RangeOffset(ChainErrorEffect):
     Separate by: a length measured from outside in line with its ends, and from a station between them; the difference
     is twice the zero error.
     Validity: one mode of distance measurement; absolute distance meter and interferometer have separate zeros.
-    Source: Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35, doi:10.6028/jres.114.003 (x8, bird-bath error); Rüeger
-    1996, Electronic Distance Measurement (length in line).
-    Validation: validated against the exact chain in first order, and against the columns of the D-H chain.
+    Source: Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35, doi:10.6028/jres.114.003 (parameter x8, bird-bath
+    error); Rüeger 1996, Electronic Distance Measurement (length in line).
+    Validation: validated against the exact kinematic chain in first order, and against the columns of the
+    Denavit-Hartenberg chain.
     """
 
     name = "range-offset"

@@ -16,7 +16,8 @@ class RangeScale(ChainErrorEffect):
     Separate by: thermometers and a barometer; a second, long length standard of another material.
     Validity: up to 100 ppm.
     Source: Ciddor 1996, Appl. Opt. 35, 1566, doi:10.1364/AO.35.001566 (sensitivities by `effects.ciddor`).
-    Validation: validated against the exact chain in first order, and against the columns of the D-H chain.
+    Validation: validated against the exact kinematic chain in first order, and against the columns of the
+    Denavit-Hartenberg chain.
     """
 
     name = "range-scale"

@@ -12,8 +12,9 @@ from ltsim.scene.sightings import Sightings
 def reflector_axes(sightings: Sightings) -> Floats:
     """Axes (axial, side, up) of the reflector in each of n pointings, network frame: columns of matrices (n, 3, 3).
 
-    The axial direction is the normal of the nest. For a reflector that is turned to the tracker, or in a nest with
-    unknown normal, it points to the station.
+    Seen from the front of the reflector, `side` is horizontal to the right. The axial direction is the normal of the
+    nest. For a reflector that is turned to the tracker, or in a nest with unknown normal, the axial direction points to
+    the station.
     """
     normal = sightings.nest_normals[sightings.target]
     is_turned = sightings.is_reaimed[sightings.target] | ~np.isfinite(normal).all(axis=1)
@@ -29,13 +30,13 @@ class SmrCentring(Effect):
     """Centring error of a reflector: the vertex of its mirrors is not at the centre of its sphere.
 
     The tracker measures the vertex, which is displaced from the centre by e = e_a axial + e_s side + e_u up, with unit
-    vectors along the axis (perpendicular to the open face), sideways and up. Let alpha be the angle of incidence to the
-    axis and chi its direction around the axis. Then the correction (true value minus reading) of the range is Delta_d =
-    e_a cos(alpha) + e_t sin(alpha) cos(chi - chi_0), where e_t and chi_0 are length and direction of the part of e
-    across the axis. The lateral correction is minus the component of e across the beam. A fixed reflector has the same
-    e in all pointings. A re-aimed reflector is turned so that its axis points to the tracker. Its axial part is then an
-    error of the range zero. Its other parts are constant lateral lengths, the same in both faces, if a marker on the
-    reflector is always up; otherwise they are noise.
+    vectors along the axis (perpendicular to the open face), to the right as seen from the front, and up. Let alpha be
+    the angle of incidence to the axis and chi its direction around the axis. Then the correction (true value minus
+    reading) of the range is Delta_d = e_a cos(alpha) + e_t sin(alpha) cos(chi - chi_0), where e_t and chi_0 are length
+    and direction of the part of e across the axis. The lateral correction is minus the component of e across the beam.
+    A fixed reflector has the same e in all pointings. A re-aimed reflector is turned so that its axis points to the
+    tracker. Its axial part is then an error of the range zero. Its other parts are constant lateral lengths, the same
+    in both faces, if a marker on the reflector is always up; otherwise they are noise.
 
     Size: 2.5 um in a good reflector, 12 to 25 um in a bad one.
     Similar to: for a fixed reflector, a displaced target (exactly); for a re-aimed reflector, range-offset (its axial
@@ -55,7 +56,7 @@ class SmrCentring(Effect):
     may_recur = True
     parameters = (
         Parameter("vertex-axial", "um", "displacement of the vertex outwards, along the axis", 15 * MICROMETRE),
-        Parameter("vertex-side", "um", "displacement of the vertex to the side, horizontally", 15 * MICROMETRE),
+        Parameter("vertex-side", "um", "displacement of the vertex to the right, seen from the front", 15 * MICROMETRE),
         Parameter("vertex-up", "um", "displacement of the vertex upwards", 15 * MICROMETRE),
     )
 

@@ -37,15 +37,15 @@ INCIDENCE_ERROR_PARTS = ("even", "cos", "sin")
 and `sin` (its sine)."""
 _PART_DESCRIPTIONS = (
     "the same for all directions",
-    "to the horizontal side, opposite on the other",
-    "to the upper side, opposite below",
+    "for beams from the right, seen from the front of the nest, of opposite sign from the left",
+    "for beams from above, of opposite sign from below",
 )
-"""Descriptions for users of the parts of the incidence error in `INCIDENCE_ERROR_PARTS`: the directions in which
+"""Descriptions, shown to users, of the parts of the incidence error in `INCIDENCE_ERROR_PARTS`: the directions in which
 they change the range."""
 
 
 def _ramp_parameters() -> tuple[Parameter, ...]:
-    """Parameters of the incidence error: for each part, the sizes at 30 deg of four ramps (see `_ramp_values`)."""
+    """Parameters of the incidence error: for each part, sizes at 30 deg of ramps from 0, 7.5, 15 and 22.5 deg."""
     steps = range(len(INCIDENCE_KNOT_ANGLES), 0, -1)
     return tuple(
         Parameter(
@@ -79,15 +79,16 @@ class SmrIncidence(Effect):
 
     The correction (true value minus reading) of the range is Delta_d = even(alpha) + cos(chi) c(alpha) + sin(chi)
     s(alpha) + (c3 cos 3 chi + s3 sin 3 chi) sin^3(alpha). Here alpha is the angle of incidence and chi its direction
-    around the nest's normal. The functions even, c and s are piecewise linear with knots every 7.5 deg, as a test on a
-    roundness table with an interferometer gives them. Each parameter of these functions is a change of slope at one
-    knot, expressed as the resulting range error at 30 deg. A table of signed incidence angles along the direction chi_0
-    corresponds to even(alpha) + odd(alpha) cos(chi - chi_0). The term in 3 chi comes from the three mirrors. The error
-    at normal incidence belongs to the range zero, which is determined with the reflector facing the beam. The error at
-    normal incidence is therefore subtracted from the table, and a reflector that is turned to the tracker has no error.
+    around the nest's normal, 0 to the right and pi/2 upward seen from the front. The functions even, c and s are
+    piecewise linear with knots every 7.5 deg, as a test on a roundness table with an interferometer gives them. Each
+    parameter of these functions is a change of slope at one knot, expressed as the resulting range error at 30 deg. A
+    table of signed incidence angles along the direction chi_0 corresponds to even(alpha) + odd(alpha) cos(chi - chi_0).
+    The term in 3 chi comes from the three mirrors. The error at normal incidence belongs to the range zero, which is
+    determined with the reflector facing the beam. The error at normal incidence is therefore subtracted from the table,
+    and a reflector that is turned to the tracker has no error.
 
-    Size: table of the paper: about 3 um in the middle, up to 13 um at the edge of the negative side, no symmetry; a
-    good reflector 1.3 um.
+    Size: table of Sensors 2021, 21, 7479: about 3 um in the middle, up to 13 um at the edge of the negative side, no
+    symmetry; a good reflector 1.3 um.
     Similar to: beam-offset (linear form, correlation 0.84 in one face, 0 in two), range zero of one station (0.51).
     Separate by: two faces; one station with the reflectors re-aimed; a log of how each reflector was turned.
     Validity: up to 30 deg, beyond which the beam is lost; one reflector that is carried to all nests with its marker in
@@ -101,7 +102,8 @@ class SmrIncidence(Effect):
     """Range errors (reading - true range) [m] at the angles `INCIDENCE_TABLE_ANGLES`, up to a common constant. If
     empty, the parameters alone define the error."""
     direction: float = 0.0
-    """Direction chi_0 [rad] around the normal of the nest to which positive angles of the table belong."""
+    """Direction chi_0 [rad] around the normal of the nest to which positive angles of the table belong: 0 to the right
+    and pi/2 upward, seen from the front of the nest."""
 
     name: ClassVar[str] = "smr-incidence"
     light_path_stage: ClassVar[LightPathStage] = LightPathStage.TARGET
@@ -134,7 +136,7 @@ class SmrIncidence(Effect):
         """Derivatives (n, 14) of the range correction (true range - reading) in n pointings by the 14 parameters.
 
         `incidence` and `direction` (n,) [rad] are the angle of incidence and its direction around the normal of the
-        nest.
+        nest (0 to the right, pi/2 upward, seen from the front).
         """
         ramps, cubed = (
             _ramp_values(incidence),
@@ -161,7 +163,8 @@ class SmrIncidence(Effect):
     def incidence_angle_and_direction(self, sightings: Sightings) -> tuple[Floats, Floats]:
         """Angle of incidence, and its direction around the normal of the nest, in n pointings, each (n,) [rad].
 
-        Both are 0 for a reflector that is turned to the tracker, and for a nest with an unknown normal.
+        The direction is 0 to the right and pi/2 upward, seen from the front of the nest. Angle and direction are 0 for
+        a reflector that is turned to the tracker, and for a nest with an unknown normal.
         """
         fixed = ~sightings.is_reaimed[sightings.target] & np.isfinite(sightings.incidence_angle)
         angle = np.where(fixed, sightings.incidence_angle, 0.0)

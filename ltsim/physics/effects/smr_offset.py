@@ -22,7 +22,7 @@ class SmrOffset(TargetDisplacementEffect):
     Validity: nests with a known normal. The same error at all stations displaces the targets, and only a reference
     length shows it.
     Source: nominal radii of reflectors: 1.5, 7/8 and 0.5 in across.
-    Validation: first order validated against the exact motion.
+    Validation: first-order form validated against the exact motion.
     """
 
     name = "smr-offset"

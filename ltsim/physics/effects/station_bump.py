@@ -24,7 +24,7 @@ class StationBump(StationMotionEffect):
     Separate by: a repeat of the first three targets at the end of the station.
     Validity: one bump per station, with three pointings or more before and after it; micrometres to millimetres.
     Source: the user manual of SpatialAnalyzer (drift check); the search over change points is derived here.
-    Validation: first order validated against the exact motion.
+    Validation: first-order form validated against the exact motion.
     """
 
     time: float = 0.0

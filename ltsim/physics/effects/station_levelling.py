@@ -21,7 +21,7 @@ class StationLevelling(StationMotionEffect):
     Separate by: an adjustment that estimates the tilts; plumb lines converge by 0.157 urad per metre.
     Validity: levelled stations only.
     Source: the user manual of SpatialAnalyzer (weights of levels); ISO 10360-10:2021 (inclinometers).
-    Validation: first order validated against the exact motion.
+    Validation: first-order form validated against the exact motion.
     """
 
     name = "station-levelling"

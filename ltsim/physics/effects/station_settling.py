@@ -28,7 +28,7 @@ class StationSettling(StationMotionEffect):
     Separate by: two faces; a repeat of the first targets at the end of the station; a level on the head.
     Validity: time constants of 2 to 40 min.
     Source: the user manual of SpatialAnalyzer (drift check); the exponential is a choice.
-    Validation: first order validated against the exact motion.
+    Validation: first-order form validated against the exact motion.
     """
 
     time_constant: float = 600.0

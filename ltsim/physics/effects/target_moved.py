@@ -17,7 +17,7 @@ from ltsim.physics.effects.places import (
 from ltsim.scene.sightings import Sightings
 
 MAX_CANDIDATE_STEP_TIMES_PER_TARGET = 8
-"""Largest number of times per target at which a search tries a sudden displacement."""
+"""Largest number of times per target at which a diagnosis tries a sudden displacement."""
 PLAUSIBLE_TARGET_STEP = 60 * MICROMETRE
 """Plausible sudden displacement [m] of a target along each axis."""
 PLAUSIBLE_TARGET_CREEP_RATE = 40 * SI_PER_UNIT["um/h"]
@@ -44,7 +44,7 @@ class TargetMoved(TargetDisplacementEffect):
     Validity: one step per target, between the pointings of two stations.
     Source: general knowledge of networks; Baarda 1968, A testing procedure for use in geodetic networks (its smallest
     detectable size).
-    Validation: first order validated against the exact motion.
+    Validation: first-order form validated against the exact motion.
     """
 
     time: float = 0.0

@@ -14,8 +14,9 @@ class TransitOffset(ChainErrorEffect):
     Similar to: range-offset (correlation 0.83 in one face, 0 in two).
     Separate by: two faces; the effect is detected from 67 um on in one face, from 0.8 um on in two faces.
     Validity: source in the rotating head; up to 0.1 mm.
-    Source: Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35, doi:10.6028/jres.114.003 (x2).
-    Validation: validated against the exact chain in first order, and against the columns of the D-H chain.
+    Source: Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35, doi:10.6028/jres.114.003 (parameter x2).
+    Validation: validated against the exact kinematic chain in first order, and against the columns of the
+    Denavit-Hartenberg chain.
     """
 
     name = "transit-offset"

@@ -15,9 +15,10 @@ class TransitTilt(ChainErrorEffect):
     heights; bearing-wobble of order 1 exactly.
     Separate by: two faces; a mixed order of the targets.
     Validity: source in the rotating head; up to 100 urad.
-    Source: Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35, doi:10.6028/jres.114.003 (x5); Deumlich and Staiger
-    2002, Instrumentenkunde der Vermessungstechnik (trunnion axis of a theodolite).
-    Validation: validated against the exact chain in first order, and against the columns of the D-H chain.
+    Source: Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35, doi:10.6028/jres.114.003 (parameter x5); Deumlich and
+    Staiger 2002, Instrumentenkunde der Vermessungstechnik (trunnion axis of a theodolite).
+    Validation: validated against the exact kinematic chain in first order, and against the columns of the
+    Denavit-Hartenberg chain.
     """
 
     name = "transit-tilt"

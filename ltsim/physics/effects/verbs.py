@@ -15,8 +15,8 @@ LOCATION_FIELD_NAMES = ("stations", "targets")
 COMMON_EFFECT_FIELD_NAMES = {f.name for f in dataclasses.fields(AnyEffect)}
 """Names of the fields that all effects have. The other fields of an effect are its shape parameters."""
 MAX_FACTOR_BEYOND_SEARCH_BOUNDS = 100.0
-"""Largest factor by which a shape parameter (a length or time) of a simulated effect may lie outside the bounds
-between which a search tries its values."""
+"""Largest factor by which a shape parameter (a length or time) of a simulated effect may lie outside the bounds between
+which a diagnosis tries its values."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -122,7 +122,7 @@ def make_effect(
 def _check_shape_parameters(effect: AnyEffect) -> None:
     """Check of the shape parameters of an effect; raises ModelError with the name and the permitted values.
 
-    Words must be permitted ones. Lengths and times must be near the bounds between which a search tries values.
+    Words must be permitted ones. Lengths and times must be near the bounds between which a diagnosis tries values.
     """
     hints = get_type_hints(type(effect))
     for field in dataclasses.fields(effect):

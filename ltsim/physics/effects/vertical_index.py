@@ -14,8 +14,9 @@ class VerticalIndex(ChainErrorEffect):
     vertical (0.89, 0.95).
     Separate by: two faces; the effect is distinguished from these from 136 urad on in one face, from 2 urad on in two.
     Validity: up to 100 urad.
-    Source: Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35, doi:10.6028/jres.114.003 (x3, x4m).
-    Validation: validated against the exact chain in first order, and against the columns of the D-H chain.
+    Source: Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35, doi:10.6028/jres.114.003 (parameters x3, x4m).
+    Validation: validated against the exact kinematic chain in first order, and against the columns of the
+    Denavit-Hartenberg chain.
     """
 
     name = "vertical-index"

@@ -12,7 +12,7 @@ from ltsim.scene.sightings import Sightings
 GLASS_REFRACTIVE_INDEX = 1.5
 """Refractive index of glass."""
 CANDIDATE_PANE_TARGET_FRACTIONS = (0.25, 0.12)
-"""Numbers of neighbouring targets behind a glass pane that a search tries, as fractions of the number of targets
+"""Numbers of neighbouring targets behind a glass pane that a diagnosis tries, as fractions of the number of targets
 that the station measured."""
 CANDIDATE_PANE_ROTATIONS = (-0.15, -0.05, 0.05, 0.15)
 """Rotations [rad] of a glass pane about the vertical that a local search tries."""

@@ -22,45 +22,52 @@ from ltsim.scene.sightings import Sightings
 ACCUMULATED_COVARIATES = ("station-time", "count", "work-azimuth", "work-elevation", "work-distance", "wound-azimuth")
 """Names of the covariates whose changes from pointing to pointing are accumulated."""
 RESET_EVENTS = ("face", "seating", "azimuth", "elevation")
-"""Names of events that reset an accumulated quantity to zero: a change of the face, of the target (`seating`), or of
-the direction of motion in azimuth or in elevation."""
+"""Names of events that reset an accumulated quantity (sum of the changes of a covariate) to zero: a change of the face,
+of the target (`seating`), or of the direction of motion in azimuth or in elevation."""
 RESET_LIMIT_QUANTITIES = ("pause", "slew", "tip")
-"""Names of quantities that reset an accumulated quantity if they exceed a limit: the time since the previous
-pointing (`pause`), the motion in azimuth (`slew`), and the motion in elevation (`tip`)."""
+"""Names of quantities that reset an accumulated quantity (sum of the changes of a covariate) if they exceed a limit:
+the time since the previous pointing (`pause`), the motion in azimuth (`slew`), and the motion in elevation (`tip`)."""
 TIME_DECAY_FUNCTION = "fades"
-"""Name of the exponential decay of an accumulated quantity with time."""
+"""Name of the exponential decay of an accumulated quantity (sum of the changes of a covariate) with time."""
 POINTING_DECAY_FUNCTION = "forgets"
-"""Name of the exponential decay of an accumulated quantity with the number of pointings."""
+"""Name of the exponential decay of an accumulated quantity (sum of the changes of a covariate) with the number of
+pointings."""
 FIXED_COUNT_RESET_FUNCTION = "every"
-"""Name of the reset of an accumulated quantity after a fixed number of pointings."""
+"""Name of the reset of an accumulated quantity (sum of the changes of a covariate) after a fixed number of
+pointings."""
 CANDIDATE_RESET_LIMIT_QUANTILES = (0.6, 0.8, 0.92)
-"""Limits of the `RESET_LIMIT_QUANTITIES` that a search tries, as quantiles of these quantities in the recording."""
+"""Limits of pause, azimuth motion and elevation motion at which a diagnosis tries to reset an accumulated quantity (sum
+of the changes of a covariate), as quantiles in the recording."""
 CANDIDATE_DECAY_TIME_FRACTIONS = np.array([0.03, 0.1, 0.3, 1.0])
-"""Time constants of decays that a search tries, as fractions of the span of the time. For accumulated quantities
-only the first three are tried, as fractions of the median duration of a set-up. Any time constant between two of
-them differs from one of them by less than a factor of two."""
+"""Time constants of decays that a diagnosis tries, as fractions of the span of the time. For accumulated quantities
+(sum of the changes of a covariate) only the first three are tried, as fractions of the median duration of a set-up. Any
+time constant between two of them differs from one of them by less than a factor of two."""
 CANDIDATE_DECAY_POINTINGS = (2.0, 4.0, 8.0)
-"""Decay constants that a search tries for accumulated quantities: numbers of pointings in which they decay by a
-factor of e."""
+"""Decay constants that a diagnosis tries for accumulated quantities (sum of the changes of a covariate): numbers of
+pointings in which they decay by a factor of e."""
 FIXED_COUNT_RESET_COVARIATES = ("station-time", "count")
-"""Names of the covariates that a search accumulates with a reset after a fixed number of pointings."""
+"""Names of the covariates that a diagnosis accumulates (sum of the changes of a covariate) with a reset after a fixed
+number of pointings."""
 CANDIDATE_POINTINGS_BETWEEN_RESETS = range(3, 31)
-"""Numbers of pointings between two resets of an accumulated quantity that a search tries."""
+"""Numbers of pointings between two resets of an accumulated quantity (sum of the changes of a covariate) that a
+diagnosis tries."""
 CANDIDATE_LATCH_QUANTILES = (0.2, 0.35, 0.5, 0.65, 0.8)
-"""Thresholds of latches that a search tries, as quantiles of the covariate in the recording."""
+"""Thresholds of latches (on above one threshold of a covariate, until below another) that a diagnosis tries, as
+quantiles of the covariate in the recording."""
 MIN_ACCUMULATION_RESETS = 2
-"""Smallest number of pointings with a reset, and smallest number without one, for which a search tries an
-accumulated quantity. The first pointing of a set-up counts as neither. With fewer resets the quantity is nearly a
-plain sum."""
+"""Smallest number of pointings with a reset, and smallest number without one, for which a diagnosis tries an
+accumulated quantity (sum of the changes of a covariate). The first pointing of a set-up counts as neither. With fewer
+resets the quantity is nearly a plain sum."""
 AccumulationKey = tuple[str, str, float]
-"""Key of an accumulated quantity: name of the covariate, name of the decay or reset, and its constant (a time
-constant [s], a number of pointings, or a limit)."""
+"""Key of an accumulated quantity (sum of the changes of a covariate): name of the covariate, name of the decay or
+reset, and its constant (a time constant [s], a number of pointings, or a limit)."""
 
 
 def candidate_accumulation_keys(sightings: Sightings, inputs: Sequence[str]) -> list[AccumulationKey]:
-    """Keys of the accumulated quantities that a search tries; `inputs` are the names of the covariates.
+    """Keys of the accumulated quantities that a diagnosis tries; `inputs` are the names of the covariates.
 
-    Their values in the pointings are stored in the cache of the sightings.
+    Their values in the pointings are stored in the cache of the sightings. An accumulated quantity is the sum of the
+    changes of a covariate over the pointings.
     """
     functions = list(_candidate_decays_and_resets(sightings))
     states = [
@@ -77,7 +84,8 @@ def candidate_accumulation_keys(sightings: Sightings, inputs: Sequence[str]) -> 
 def _candidate_decays_and_resets(sightings: Sightings) -> Iterator[tuple[str, float]]:
     """Iterator over pairs of the name of a decay or reset of an accumulated quantity, and its constant.
 
-    A reset is omitted if too few pointings have it, or too few pointings do not have it.
+    A reset is omitted if too few pointings have it, or too few pointings do not have it. An accumulated quantity is the
+    sum of the changes of a covariate over the pointings.
     """
     setup_duration = float(
         np.median([np.ptp(sightings.time[sightings.station == s]) for s in np.unique(sightings.station)])
@@ -139,7 +147,10 @@ def latch_column(sightings: Sightings, covariate: str, set_threshold: float, rel
 
 
 def candidate_latch_keys(sightings: Sightings, covariates: Iterable[str]) -> list[tuple[str, float, float]]:
-    """Latches that a search tries, each as a tuple of the covariate, its upper threshold and its lower threshold."""
+    """Latches that a diagnosis tries, each as a tuple of the covariate, its upper threshold and its lower threshold.
+
+    A latch is on once a covariate exceeds a threshold, and off once it is below a lower one.
+    """
     latches = []
     for name in covariates:
         thresholds = np.unique(np.quantile(sightings.covariate_values[name], CANDIDATE_LATCH_QUANTILES))
@@ -148,7 +159,11 @@ def candidate_latch_keys(sightings: Sightings, covariates: Iterable[str]) -> lis
 
 
 def _limit_quantity(sightings: Sightings, quantity_name: str) -> Floats:
-    """Absolute values (n,) [s or rad] of one of the `RESET_LIMIT_QUANTITIES` in n pointings."""
+    """Absolute values (n,) in n pointings of a time [s] or motion [rad] that resets an accumulated quantity.
+
+    `quantity_name` is the time since the previous pointing (`pause`), or the motion in azimuth (`slew`) or elevation
+    (`tip`). An accumulated quantity is the sum of the changes of a covariate over the pointings.
+    """
     quantity = {"pause": "lapse", "slew": "move-azimuth", "tip": "move-elevation"}[quantity_name]
     return np.abs(sightings.covariate_values[quantity])
 
@@ -156,7 +171,8 @@ def _limit_quantity(sightings: Sightings, quantity_name: str) -> Floats:
 def _is_reset(sightings: Sightings, function_name: str, constant: float) -> Bools:
     """Mask (n,) of the pointings at which an accumulated quantity is reset, except the first pointing of a set-up.
 
-    `function_name` is the name of the reset, `constant` its limit or its number of pointings.
+    `function_name` is the name of the reset, `constant` its limit or its number of pointings. An accumulated quantity
+    is the sum of the changes of a covariate over the pointings.
     """
     has_previous = sightings.previous_pointing_indices >= 0
     before = np.where(has_previous, sightings.previous_pointing_indices, 0)
@@ -177,7 +193,10 @@ def _is_reset(sightings: Sightings, function_name: str, constant: float) -> Bool
 
 
 def _cache_accumulations(sightings: Sightings, state_keys: Sequence[AccumulationKey]) -> None:
-    """Computation of several accumulated quantities in one pass; the values minus their mean, (n,), are cached."""
+    """Computation of several accumulated quantities in one pass; the values minus their mean, (n,), are cached.
+
+    An accumulated quantity is the sum of the changes of a covariate over the pointings.
+    """
     state_keys = [key for key in state_keys if key not in sightings.derived_cache]
     if not state_keys:
         return
@@ -207,7 +226,8 @@ def _remaining_fraction(sightings: Sightings, function_name: str, constant: floa
     """Fraction (n,) of an accumulated quantity that remains at each of n pointings from the previous pointing.
 
     It is 0 at a reset and at the first pointing of a set-up. `function_name` is the name of the decay or reset,
-    `constant` its constant: a time [s], a number of pointings, or the limit of a pause or motion.
+    `constant` its constant: a time [s], a number of pointings, or the limit of a pause or motion. An accumulated
+    quantity is the sum of the changes of a covariate over the pointings.
     """
     has_previous = (sightings.previous_pointing_indices >= 0).astype(np.float64)
     if function_name == TIME_DECAY_FUNCTION:

@@ -10,14 +10,15 @@ EFFECT_NAME_BY_RESPONSE_AND_COVARIATE = {
     ("range scale", "time"): "refractivity-drift",
     ("distance", "incidence"): "smr-incidence",
 }
-"""Name of the catalogue effect that is equivalent to a law, by the pair of the law's response (changed quantity) and
-covariate."""
+"""Name of the catalogue effect that is equivalent to a law (error as a function of covariates), by the pair of the
+law's response (changed quantity) and covariate."""
 FUNCTIONS_WITH_CATALOGUE_NAME = ("decay", "power", "sin", "cos", "tan")
-"""Functions of a covariate for which a law gets the name of a catalogue effect. They include sine, cosine and
-tangent: these differ from powers of an angle by less than a catalogue effect differs between two instruments."""
+"""Functions of a covariate for which a law (error as a function of covariates) gets the name of a catalogue effect.
+They include sine, cosine and tangent: these differ from powers of an angle by less than a catalogue effect differs
+between two instruments."""
 TIME_FUNCTIONS_OF_MOVED_TARGET = ("step", "power", "decay")
-"""Functions of time for which a law of the position of a target gets the name `target-moved`: a step, a steady
-motion, or a decaying motion."""
+"""Functions of time for which a law (error as a function of covariates) of the position of a target gets the name
+`target-moved`: a step, a steady motion, or a decaying motion."""
 RESPONSE_NAMES_BY_CIRCLE = {"azimuth": ("azimuth",), "elevation": ("elevation", "vertical index")}
 """Names of the responses (changed quantities) through which graduation errors act, by the name of the circle."""
 MIN_HARMONIC_PERIODS_PER_TURN = 2.5
@@ -29,7 +30,10 @@ the encoder. With fewer periods it is a graduation harmonic."""
 
 
 def equivalent_effect_name(law: EmpiricalLaw) -> str:
-    """Name of the catalogue effect that is equivalent to a law; `unknown` if there is none."""
+    """Name of the catalogue effect that is equivalent to a law; `unknown` if there is none.
+
+    A law describes an error as a function of covariates such as time.
+    """
     regressor, response_name = law.regressor, law.response.name
     if (
         regressor.kind == "wave"
@@ -59,7 +63,10 @@ def equivalent_effect_name(law: EmpiricalLaw) -> str:
 
 
 def _is_step_or_creep(regressor: Regressor) -> bool:
-    """True for a regressor of time that is a single step, a steady motion or a decaying motion."""
+    """True for a regressor of time that is a single step, a steady motion or a decaying motion.
+
+    A regressor is a function of covariates to which the error is proportional.
+    """
     if regressor.kind == "pieces":
         return len(regressor.factors) == 1 and _is_step_or_creep(regressor.factors[0])
     return regressor.function in TIME_FUNCTIONS_OF_MOVED_TARGET

@@ -34,9 +34,9 @@ def shared_errors_sentence(sigma_text: str) -> str:
 
 @dataclass(frozen=True)
 class CentringVariance(VarianceFunction):
-    """Noise hypothesis of centring errors: a random displacement of the reflector at each occupation of a target.
+    """Noise hypothesis of centring errors: a random displacement of the reflector at each placement on a target.
 
-    All pointings of an occupation have the same displacement, so that the variance of single readings does not change.
+    All pointings of a placement have the same displacement, so that the variance of single readings does not change.
     The adjustment estimates the displacements as unknowns. Their prior standard deviation is the parameter of the
     hypothesis.
     """
@@ -51,12 +51,12 @@ class CentringVariance(VarianceFunction):
 
     @property
     def regressor_text(self) -> str:
-        """Name for users of the covariate of the displacements: the occupation of the target."""
+        """Name, shown to users, of the covariate of the displacements: the occupation of the target."""
         return "occupation of the target"
 
     @property
     def text(self) -> str:
-        """Description of the centring errors, for users."""
+        """Description, shown to users, of the centring errors."""
         return f"reflectors that are centred anew {RECENTRING_PHRASE_BY_OCCUPATION_GROUPING[self.occupation_grouping]}"
 
     def sentence(self, sigma_text: str) -> str:

@@ -22,12 +22,13 @@ from ltsim.scene.sightings import Sightings
 CIRCULAR_COVARIATES = ("azimuth", "circle", "bearing", "nest-direction")
 """Names of the covariates that are angles on a full circle."""
 N_CURVE_MODES = 9
-"""Number of eigenfunctions of the Laplacian (modes) of which a search composes a smooth curve. For the shortest
+"""Number of eigenfunctions of the Laplacian (modes) of which a diagnosis composes a smooth curve. For the shortest
 length scale, the prior standard deviation of the last coefficient is a tenth to a third of the first one."""
 N_PRODUCT_CURVE_MODES = 4
-"""Number of eigenfunctions (modes) of a smooth curve that is a factor of a product, or a law of a single target."""
+"""Number of eigenfunctions (modes) of a smooth curve that is a factor of a product, or a law (error as a function of
+covariates) of a single target."""
 N_FINER_CURVE_MODES = 32
-"""Number of eigenfunctions (modes) of a finer curve, which a search tries in place of the selected smooth curve."""
+"""Number of eigenfunctions (modes) of a finer curve, which a diagnosis tries in place of the selected smooth curve."""
 EIGENFUNCTION_INTERVAL_TO_RANGE_RATIO = 1.25
 """Width of the interval at whose ends all eigenfunctions of a smooth curve are zero, divided by the range of the
 covariate. The ratio is above 1, because a smooth curve need not be zero at the ends of the range."""
@@ -39,7 +40,8 @@ LENGTH_SCALES_BY_N_CURVE_MODES = {
 """Length scales of a smooth curve (of the kernel of its Gaussian process), by the number of its eigenfunctions. They
 are fractions of half the range of the covariate, or radians for an angle on a full circle."""
 MEMORY_COVARIATE_PREFIXES = ("approach-", "move-", "last-", "work-", "wound-", "lapse")
-"""Prefixes of the names of covariates that depend on earlier pointings, such as `move-azimuth`."""
+"""Prefixes of the names of covariates that depend on earlier pointings, such as `move-azimuth` (motion since the
+previous pointing)."""
 FORMULA_FUNCTIONS: dict[str, Callable[[Floats, float], Floats]] = {
     "power": lambda x, k: x**k,
     "abs": lambda x, k: np.abs(x),
@@ -57,7 +59,8 @@ FORMULA_FUNCTIONS: dict[str, Callable[[Floats, float], Floats]] = {
     "within": lambda x, k: np.where(np.abs(x) < k, x, 0.0),
     "stuck": lambda x, k: np.where(np.abs(x) < k, np.sign(x), 0.0),
 }
-"""Functions of a covariate x and a constant k that the formula of a law may contain, by the name of the function."""
+"""Functions of a covariate x and a constant k that the formula of a law (error as a function of covariates) may
+contain, by the name of the function."""
 HYSTERESIS_FUNCTION = "hysteresis"
 """Name of the function with hysteresis, which depends on the order of the pointings. Its constant is half the width
 of the loop, in the unit of the covariate."""
@@ -84,7 +87,7 @@ def scaled_to_unit_rms(column: Floats) -> Floats:
 
 
 N_HARMONICS_OF_CYCLE = 5
-"""Number of harmonics of which a search composes a periodic function of any shape (cycle)."""
+"""Number of harmonics of which a diagnosis composes a periodic function of any shape (cycle)."""
 
 
 def fourier_columns(phase: Floats, n_harmonics: int) -> Floats:
@@ -119,8 +122,8 @@ def smooth_curve_columns(name: str, covariate: Floats, n_modes: int) -> Floats:
 def smooth_curve_sigmas(is_circular: bool, n_modes: int) -> tuple[Floats, ...]:
     """Prior standard deviations (k,) of the k coefficients of a smooth curve: one array per length scale.
 
-    `is_circular` is True for an angle on a full circle. The last array is the prior of a random walk; it is omitted for
-    an angle on a full circle, and if `n_modes` is `N_PRODUCT_CURVE_MODES`.
+    `is_circular` is True for an angle on a full circle. The last array is the prior of a random walk; this array is
+    omitted for an angle on a full circle, and if `n_modes` is `N_PRODUCT_CURVE_MODES`.
     """
     spreads = []
     if is_circular:

@@ -10,15 +10,15 @@ from ltsim.physics.laws.regressors import CLOCK_COVARIATES, Regressor, scalar_re
 from ltsim.scene.sightings import Sightings
 
 ANGULAR_COVARIATES = ("elevation", "incidence", "nest-direction", "last-azimuth", "last-elevation")
-"""Covariates that are angles; a search tries their sines, cosines and tangents."""
+"""Covariates that are angles; a diagnosis tries their sines, cosines and tangents."""
 SAW_TOOTH_PERIOD_FRACTIONS = np.array([1.0, 0.5, 0.25, 0.125])
-"""Periods of saw-tooth functions that a search tries, as fractions of the span of the covariate."""
+"""Periods of saw-tooth functions that a diagnosis tries, as fractions of the span of the covariate."""
 FORMULA_CONSTANT_SPAN_FRACTIONS = np.array([0.05, 0.15, 0.5])
-"""Constants of decays, saturations and dead bands that a search tries, as fractions of the span of the covariate."""
+"""Constants of decays, saturations and dead bands that a diagnosis tries, as fractions of the span of the covariate."""
 
 
 def formula_regressors(sightings: Sightings, covariate: str, *, is_reduced_set: bool = False) -> Iterator[Regressor]:
-    """Iterator over formulas of the `covariate` with at most one constant, which a search tries.
+    """Iterator over formulas of the `covariate` with at most one constant, which a diagnosis tries.
 
     If `is_reduced_set`, there are fewer formulas, which limits the number of products with other regressors.
     """

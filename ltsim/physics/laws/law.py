@@ -35,17 +35,17 @@ from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
 FACE_SIGN_REGRESSOR = scalar_regressor("face", "power")
-"""Regressor that is +1 in face 1 and -1 in face 2. An elevation error proportional to it is an error of the vertical
-index."""
+"""Regressor (function of covariates) with +1 in face 1, -1 in face 2. An elevation error proportional to this regressor
+is an error of the vertical index."""
 MAX_CANDIDATE_STEP_POSITIONS = 41
-"""Largest number of values of a covariate at which a search tries a step or ramp of a law."""
+"""Largest number of values of a covariate at which a diagnosis tries a step or ramp of an error law."""
 PARTS_SEPARATE_BY_SETUP = ("reading", "instrument", "circle", "stand")
-"""Parts of the measurement (`Response.changed_part`) for whose laws a search tries separate coefficients in each
+"""Parts of the measurement (`Response.changed_part`) for whose errors a diagnosis tries separate coefficients in each
 set-up."""
 MAX_CANDIDATE_SWITCH_EDGES = 60
-"""Largest number of values of a covariate at which a search tries to turn a law on or off."""
+"""Largest number of values of a covariate at which a diagnosis tries to turn an error on or off."""
 MAX_STEPS_IN_MOVED_LAW = 4
-"""Largest number of steps and ramps of a law for which a local search tries other positions; each costs time."""
+"""Largest number of steps and ramps of an error law for which a local search tries other positions; each costs time."""
 MAX_STEP_MOVE_GAPS = 6
 """Largest number of gaps between values of the covariate by which a local search moves a step or ramp, and smallest
 number of gaps between two steps (a few pointings do not determine the size of a step)."""
@@ -53,15 +53,15 @@ FUNCTIONS_WITH_SCALED_CONSTANT = (
     *("decay", "fading", "relaxing", "saturated", "lagging", "hysteresis", "saw", "slack", "within", "stuck"),
     *(TIME_DECAY_FUNCTION, POINTING_DECAY_FUNCTION),
 )
-"""Names of functions, and kinds of regressors, with a positive constant that a local search multiplies by factors
-from 0.6 to 1.7."""
+"""Names of functions, and kinds of regressors (functions of covariates), with a positive constant that a local search
+multiplies by factors from 0.6 to 1.7."""
 LATCH_THRESHOLD_SHIFT_FRACTIONS = np.array([-0.06, -0.02, 0.02, 0.06])
-"""Changes of the thresholds of a latch that a local search tries, as fractions of the span of the covariate."""
+"""Shifts of the on and off thresholds of a latch in a local search, as fractions of the span of the covariate."""
 
 
 @dataclass(frozen=True)
 class EmpiricalLaw(CandidateEffect):
-    """Empirical law: a change of one quantity of the measurement (the response) as a function of a regressor."""
+    """Empirical law: a change of one quantity of the measurement (the response) as a function of covariates."""
 
     stations: tuple[str, ...] = ()
     """Names of the stations at which the law acts; empty for all."""
@@ -74,13 +74,13 @@ class EmpiricalLaw(CandidateEffect):
     instruments: tuple[str, ...] = ()
     """Names of the instruments at which the law acts; empty for all."""
     length_scale_index: int = 0
-    """Index of the length scale of the regressor's smooth curve, which selects the prior in
-    `Regressor.coefficient_sigmas`."""
+    """Index of the length scale of the smooth curve of the regressor (function of covariates), which selects the prior
+    in `Regressor.coefficient_sigmas`."""
     has_coefficients_per_setup: bool = False
     """True if the law has separate coefficients for each set-up."""
     component_ratio: tuple[float, ...] = ()
-    """Fixed ratio of the c components of the response, as a unit vector (c,); empty if each component has separate
-    coefficients.
+    """Fixed ratio of the c components of the changed quantity, as a unit vector (c,); empty if each component has
+    separate coefficients.
 
     With a fixed ratio all components have the same coefficients. If the law is separate for S set-ups, the ratio has c
     S elements.
@@ -90,7 +90,7 @@ class EmpiricalLaw(CandidateEffect):
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Coefficients with priors: one per component of the response and column of the regressor (and per set-up)."""
+        """Coefficients with priors, one per component of the changed quantity and column of the function."""
         spread = self.regressor.coefficient_sigmas[self.length_scale_index] * self.response.plausible_size
         n, unit = self.n_setup_components, self.response.display_unit
         spreads = spread * np.sqrt(n) if self.component_ratio else np.tile(spread, n)
@@ -98,7 +98,7 @@ class EmpiricalLaw(CandidateEffect):
 
     @property
     def n_setup_components(self) -> int:
-        """Number of components of the response, multiplied by the number of set-ups with separate coefficients."""
+        """Number of components of the changed quantity times the number of set-ups with separate coefficients."""
         return len(self.response.component_names) * (len(self.stations) if self.has_coefficients_per_setup else 1)
 
     @property
@@ -141,7 +141,7 @@ class EmpiricalLaw(CandidateEffect):
         return along[..., None]
 
     def columns(self, sightings: Sightings) -> Floats:
-        """Columns (n, k) of the regressor in n pointings, zero at stations and targets where the law does not act.
+        """Values (n, k) of the k functions of covariates in n pointings, zero at places where the law does not act.
 
         If S set-ups have separate coefficients and no fixed `component_ratio`, the shape is (n, S k).
         """
@@ -159,7 +159,7 @@ class EmpiricalLaw(CandidateEffect):
         return self.regressor.region is not None
 
     def without_time_limit(self) -> EmpiricalLaw:
-        """Copy of a law of a region of the hall that acts during the whole measurement; any other law itself."""
+        """Copy of a law of a region of the hall that acts during the whole measurement; other laws unchanged."""
         first, *others = self.regressor.factors or (self.regressor,)
         gated = first.region is not None and [f.kind for f in others] == ["switch"]
         return replace(self, regressor=first) if gated else self
@@ -208,7 +208,7 @@ class EmpiricalLaw(CandidateEffect):
         return []
 
     def _with_moved_thresholds(self, sightings: Sightings) -> list[EmpiricalLaw]:
-        """Copies of the law with one of the two thresholds of its latch changed slightly."""
+        """Copies of the law with a slightly changed threshold of its latch (on above one, off below the other)."""
         regressor = self.regressor
         steps = np.ptp(sightings.covariate_values[regressor.covariates[0]]) * LATCH_THRESHOLD_SHIFT_FRACTIONS
         neighbours = [replace(regressor, constant=regressor.constant + float(step)) for step in steps]
@@ -217,7 +217,7 @@ class EmpiricalLaw(CandidateEffect):
 
     @property
     def _movable_regressor(self) -> Regressor | None:
-        """Regressor of steps, ramps or a switch that a local search moves; None without one, or for a region."""
+        """Steps, ramps or a switch (on, off) that a local search moves; None without them, or for a law of a region."""
         step_factors = [f for f in (self.regressor, *self.regressor.factors) if f.kind in ("pieces", "switch")]
         movable_factors = [f for f in step_factors if f.kind == "switch" or len(f.factors) <= MAX_STEPS_IN_MOVED_LAW]
         return movable_factors[0] if movable_factors and self.regressor.hall_region is None else None
@@ -239,7 +239,7 @@ class EmpiricalLaw(CandidateEffect):
         return laws + [self._with_replaced_factor(steps, replace(steps, constant=k)) for k in _candidate_lags(steps)]
 
     def _with_replaced_factor(self, old_factor: Regressor, new_factor: Regressor) -> EmpiricalLaw:
-        """Copy of the law with `new_factor` in place of `old_factor`, which is its regressor or one of its factors."""
+        """Copy of the law with `new_factor` in place of `old_factor`, its whole function or one of its factors."""
         if self.regressor == old_factor:
             return replace(self, regressor=new_factor)
         factors = tuple(new_factor if factor == old_factor else factor for factor in self.regressor.factors)
@@ -262,7 +262,7 @@ class EmpiricalLaw(CandidateEffect):
         return [replace(self, regressor=regressor, length_scale_index=0) for regressor in products]
 
     def candidate_forms_by_kind(self, sightings: Sightings) -> dict[str, list[list[EmpiricalLaw]]]:
-        """Other forms of the law by kind (`curve`, `formula`): lists of laws that differ only in the length scale."""
+        """Other forms of the law by kind (`curve`, `formula`): lists of laws that differ only in length scale."""
         regressor, forms = self.regressor, {"curve": [self], "formula": self.candidate_formulas(sightings)}
         if regressor.kind == "smooth":
             n_modes = N_FINER_CURVE_MODES if regressor.constant > N_PRODUCT_CURVE_MODES else N_CURVE_MODES
@@ -298,14 +298,14 @@ class EmpiricalLaw(CandidateEffect):
 
     @property
     def switchable_factor(self) -> Regressor | None:
-        """Curve or wave (the regressor, or its factor of time) that a switch may replace; None without one."""
+        """Curve or wave (the whole function, or its factor of time) that a switch (on, off) may replace; else None."""
         if self.regressor.kind in ("smooth", "wave"):
             return self.regressor
         curves = (f for f in self.regressor.factors if f.kind in ("smooth", "wave") and f.covariates == ("time",))
         return next(curves, None) if self.regressor.kind == "product" else None
 
     def candidate_switch_steps(self, sightings: Sightings) -> list[Regressor]:
-        """Steps at which a switch may turn the law on or off: of its covariate, or of time for a law of a region."""
+        """Steps at which the law may be turned on or off: in its covariate, or in time if it depends on a region."""
         curve = self.switchable_factor
         if curve is None and not self.depends_on_permanent_region:
             return []
@@ -315,15 +315,15 @@ class EmpiricalLaw(CandidateEffect):
         return [scalar_regressor(name, "step", float(edge)) for edge in 0.5 * (x[1:] + x[:-1])]
 
     def with_sum_of_steps(self, steps: Sequence[Regressor]) -> EmpiricalLaw:
-        """Copy of the law with a sum of steps, each with a separate coefficient, as its regressor or a factor of it."""
+        """Copy of the law whose function, or a factor of it, is a sum of steps with separate coefficients."""
         return replace(self, regressor=self._regressor_with_gate(piecewise_regressor(steps)), length_scale_index=0)
 
     def with_switch(self, edge_steps: Sequence[Regressor]) -> EmpiricalLaw:
-        """Copy of the law with a switch, which turns on and off at `edge_steps`, as its regressor or a factor of it."""
+        """Copy of the law that acts only in intervals of a covariate, which begin and end at `edge_steps`."""
         return replace(self, regressor=self._regressor_with_gate(switch_regressor(edge_steps)), length_scale_index=0)
 
     def _regressor_with_gate(self, gate_regressor: Regressor) -> Regressor:
-        """Regressor in which `gate_regressor` (steps or a switch) replaces a curve or wave, or multiplies a path."""
+        """Function of covariates in which `gate_regressor` (steps, switch) replaces a curve, or multiplies a length."""
         if self.depends_on_permanent_region:
             return Regressor("product", factors=(self.regressor, gate_regressor))
         others = [f for f in self.regressor.factors if f != self.switchable_factor]
@@ -394,7 +394,7 @@ class EmpiricalLaw(CandidateEffect):
 
 
 def _candidate_lags(steps: Regressor) -> list[float]:
-    """Lags [s] that a local search tries for a switch in time in place of its lag; empty for other regressors."""
+    """Lags [s] that a local search tries for a switch in time in place of its lag; empty for other functions."""
     if steps.kind != "switch" or steps.covariates != ("time",):
         return []
     return [0.0, *(steps.constant * s for s in (0.6, 1.7))] if steps.constant else list(CANDIDATE_LAG_TIME_CONSTANTS)

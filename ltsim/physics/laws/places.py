@@ -12,10 +12,12 @@ from ltsim.core.arrays import Ints
 from ltsim.scene.sightings import Sightings
 
 CANDIDATE_NEIGHBOUR_GROUP_SIZES = (3, 6)
-"""Numbers of nearest neighbours with which a target forms a group for which a search tries a law."""
+"""Numbers of nearest neighbours with which a target forms a group for which a diagnosis tries a law (error as a
+function of covariates)."""
 MIN_GROUP_TARGETS = 3
-"""Smallest number of targets in a group, and outside the group, for which a search tries a law of the group. A law
-with a separate value for each set-up is tried only with more set-ups than this number."""
+"""Smallest number of targets in a group, and outside the group, for which a diagnosis tries a law (error as a function
+of covariates) of the group. A law with a separate value for each set-up is tried only with more set-ups than this
+number."""
 CLUSTERING_HEIGHT_WEIGHT = 5.0
 """Factor on heights in the clustering of targets by height and surface. A height difference of a fifth of the hall
 then counts as much as an angle of 60 deg between two nest normals."""
@@ -23,16 +25,19 @@ then counts as much as an angle of 60 deg between two nest normals."""
 
 @dataclass(frozen=True)
 class LawPlace:
-    """Place at which a law acts: set-ups, targets or instruments, with the pointings there."""
+    """Place at which a law acts: set-ups, targets or instruments, with the pointings there.
+
+    A law describes an error as a function of covariates such as time.
+    """
 
     stations: tuple[str, ...]
-    """Names of the set-ups at which the law acts; empty for all."""
+    """Names of the set-ups at which the law (error as a function of covariates) acts; empty for all."""
     targets: tuple[str, ...]
-    """Names of the targets at which the law acts; empty for all."""
+    """Names of the targets at which the law (error as a function of covariates) acts; empty for all."""
     rows: Ints
     """Row indices of the pointings from these set-ups, to these targets and with these instruments."""
     instruments: tuple[str, ...] = ()
-    """Names of the instruments of the law; empty for all."""
+    """Names of the instruments of the law (error as a function of covariates); empty for all."""
 
 
 def names_and_rows(names: Sequence[str], group_indices: Ints) -> Iterator[tuple[str, Ints]]:
@@ -50,7 +55,10 @@ def station_names_of_rows(sightings: Sightings, rows: Ints) -> tuple[str, ...]:
 
 
 def instrument_places(sightings: Sightings, names: Sequence[str]) -> tuple[LawPlace, ...]:
-    """Places of laws, one per instrument in `names` with all its set-ups; empty if there is only one instrument."""
+    """Places of laws, one per instrument in `names` with all its set-ups; empty if there is only one instrument.
+
+    A law describes an error as a function of covariates such as time.
+    """
     places = tuple(
         LawPlace(station_names_of_rows(sightings, rows), (), rows, (name,))
         for name, rows in names_and_rows(names, sightings.instrument)
@@ -59,10 +67,11 @@ def instrument_places(sightings: Sightings, names: Sequence[str]) -> tuple[LawPl
 
 
 def target_clusters(sightings: Sightings) -> set[tuple[int, ...]]:
-    """Groups of related targets, for each of which a search tries a law, as tuples of sorted target indices.
+    """Groups of related targets, for each of which a diagnosis tries a law, as tuples of sorted target indices.
 
     The groups are the branches of three trees of hierarchical clustering (average linkage): by position, by position
-    and surface, and by height and surface. Nests with similar normals count as mounted on the same surface.
+    and surface, and by height and surface. Nests with similar normals count as mounted on the same surface. A law
+    describes an error as a function of covariates such as time.
     """
     if len(sightings.target_points) < 2 * MIN_GROUP_TARGETS:
         return set()
@@ -109,7 +118,10 @@ def groups_connected_by_lengths(
 
 
 def group_places(sightings: Sightings, target_groups: set[tuple[int, ...]]) -> Iterator[LawPlace]:
-    """Places of laws, one per group of targets (tuple of target indices), with the pointings to the group."""
+    """Places of laws, one per group of targets (tuple of target indices), with the pointings to the group.
+
+    A law describes an error as a function of covariates such as time.
+    """
     for members in sorted(target_groups):
         rows = np.flatnonzero(np.isin(sightings.target, members))
         if len(rows):

@@ -50,7 +50,7 @@ _CIRCLE_COVARIATES = ("circle", "vertical-circle")
 _NEST_COVARIATES = ("incidence", "nest-direction")
 """Names of the covariates that need the normals of the nests."""
 _SIGN_COVARIATES = ("face", "approach-azimuth", "approach-elevation", "parity", "seating-parity", "repeat")
-"""Names of covariates with few values, such as the face. A law is proportional to them; no function is tried."""
+"""Names of covariates with few values, such as the face. Only errors in proportion to these values are tried."""
 ACCUMULATED_ROTATIONS = ("work-azimuth", "work-elevation")
 """Names of the covariates that are the total rotation of an axis since the set-up began."""
 MEMORY_OPERATOR_PREFIXES = ("last", "move", "work")
@@ -87,36 +87,36 @@ PERMITTED_COVARIATES_BY_AFFECTED_PART: dict[str, tuple[str, ...]] = {
     "reflector": ("time", "lapse", "last-target", *_SIGN_COVARIATES[3:], *_NEST_COVARIATES),
     "air": CLOCK_COVARIATES,
 }
-"""Names of the covariates on which a response can depend, by `Response.changed_part`, in addition to columns of the
-recording. The position of a wall cannot depend on the direction in which a tracker points. The position of a stand
-can, because a head is not balanced exactly."""
+"""Names of the covariates on which a response (changed quantity) can depend, by `Response.changed_part`, besides
+columns of the recording. The position of a wall cannot depend on the direction in which a tracker points. The position
+of a stand can, because a head is not balanced exactly."""
 MIN_EFFECTIVE_TARGETS_IN_REGION = 2.5
-"""Effective number of targets in a region of the hall above which a search tries a law of these targets."""
+"""Effective number (sum w)^2 / sum(w^2) of targets with weights w, above which errors of a region are tried."""
 NEARNESS_REGION_SHAPES = ("xyz", "xy")
-"""Axes that limit the regions of laws which depend on the distance of a target from a position."""
+"""Axes along which regions are bounded, for errors that depend on the distance of a target from a position."""
 TEMPORARY_REGION_SHAPES = ("xy", "x", "y", "z")
-"""Axes that limit the regions which may act during a part of the measurement."""
+"""Axes along which regions are bounded that may act during a part of the measurement."""
 CANDIDATE_TIME_PART_COUNTS = (2, 4)
-"""Numbers of equal parts into which a search divides the measurement; a region of the hall may act in one part only."""
+"""Numbers of equal parts of the duration of a recording; a region of the hall may act in one part only."""
 CANDIDATE_HYSTERESIS_HALF_WIDTHS = np.array([0.05, 0.15, 0.3])
-"""Half-widths of hysteresis loops that a search tries, as fractions of the span of the covariate."""
+"""Half-widths of hysteresis loops that a diagnosis tries, as fractions of the span of the covariate."""
 CANDIDATE_DEAD_BAND_QUANTILES = (0.15, 0.3, 0.5)
-"""Limits of dead bands that a search tries, as quantiles of the motions of an axis between pointings."""
+"""Limits of dead bands (long motions of an axis have no effect), as quantiles of the motions between pointings."""
 CANDIDATE_LAG_TIME_CONSTANTS = (60.0, 300.0, 1000.0, 3000.0)
-"""Time constants [s] of lags that a search tries, typical of detectors, instrument parts, stands, walls and floors."""
+"""Time constants [s] of lags that a diagnosis tries, typical of detectors, instruments, stands, walls and floors."""
 MAX_SEPARATE_AMOUNTS = 12
-"""Largest number of set-ups, instruments or targets with separate values in a law (more would fit any errors), and
-number of times at which a search tries a step."""
+"""Largest number of set-ups, instruments or targets with separate values in an error law (more would fit any errors),
+and largest number of times at which a diagnosis tries a step."""
 MAX_SEPARATE_TARGET_AMOUNTS = 60
-"""Largest number of targets for which a search tries a law with a separate value for each target."""
+"""Largest number of targets for which a diagnosis tries errors with a separate value for each target."""
 WAVE_FREQUENCY_STEP = 0.6
-"""Spacing of the frequencies of the waves that a search tries, in cycles over the span of the covariate."""
+"""Spacing of the frequencies of the waves that a diagnosis tries, in cycles over the span of the covariate."""
 MAX_CANDIDATE_WAVE_CYCLES = 60
-"""Largest number of cycles, over the span of the covariate, of a wave that a search tries."""
+"""Largest number of cycles, over the span of the covariate, of a wave that a diagnosis tries."""
 MIN_POINTINGS_PER_CYCLE = 8
-"""Smallest number of pointings per cycle of a wave that a search tries."""
+"""Smallest number of pointings per cycle of a wave that a diagnosis tries."""
 ODDS_PER_OPERATOR = 1.0 / 3.0
-"""Factor on the prior odds of a regressor for each operator (such as a lag), and for each factor after the first."""
+"""Factor on the prior odds of a function of covariates per operator (such as a lag), and per factor after the first."""
 N_OPERATORS_BY_REGRESSOR_KIND = {
     "constant": 0,
     "sign": 0,
@@ -139,7 +139,7 @@ N_OPERATORS_BY_REGRESSOR_KIND = {
     "room": 1,
     "product": 2,
 }
-"""Number of operators (such as a lag) plus further factors, by kind of regressor: exponent of `ODDS_PER_OPERATOR`."""
+"""Number of operators (such as a lag) plus further factors, by kind of function: exponent of `ODDS_PER_OPERATOR`."""
 
 
 def varying_column_names(sightings: Sightings) -> list[str]:
@@ -159,7 +159,7 @@ def _varying_covariates(sightings: Sightings, covariates: Iterable[str]) -> list
 
 
 def is_physically_possible(changed_part: str, regressor: Regressor, sightings: Sightings) -> bool:
-    """True if a response that changes `changed_part` of the measurement can physically depend on a regressor."""
+    """True if an error of the part `changed_part` of the measurement can physically depend on `regressor`."""
     names = [*regressor.covariates, *(n for f in regressor.factors if f.kind != "field" for n in f.covariates)]
     permitted_names = PERMITTED_COVARIATES_BY_AFFECTED_PART.get(changed_part, ())
     return changed_part == "reading" or all(
@@ -168,7 +168,7 @@ def is_physically_possible(changed_part: str, regressor: Regressor, sightings: S
 
 
 def candidate_regressors(sightings: Sightings, n_modes: int = N_CURVE_MODES) -> dict[str, list[Regressor]]:
-    """Regressors that a search tries, by kind; a smooth curve has `n_modes` eigenfunctions."""
+    """Functions of covariates (regressors) that a diagnosis tries, by kind; smooth curves have `n_modes` modes."""
     s, columns = sightings, varying_column_names(sightings)
     base = _varying_covariates(s, (*MEMORYLESS_COVARIATES, *columns, *_CIRCLE_COVARIATES, *_NEST_COVARIATES))
     remembered = [f"{prefix}-{name}" for prefix in MEMORY_OPERATOR_PREFIXES for name in columns]
@@ -227,7 +227,7 @@ def candidate_regressors(sightings: Sightings, n_modes: int = N_CURVE_MODES) -> 
 
 
 def dead_band_regressors(sightings: Sightings) -> list[Regressor]:
-    """Regressors for causes that act only in short motions of an axis; they are zero in long motions."""
+    """Functions of covariates for causes that act only in short motions of an axis; zero in long motions."""
     return [
         scalar_regressor(name, how, float(k))
         for name in _varying_covariates(sightings, ("move-azimuth", "move-elevation"))
@@ -243,7 +243,7 @@ def contains_several_targets(region: HallRegion, sightings: Sightings) -> bool:
 
 
 def temporary_region_regressors(sightings: Sightings, function: str = "") -> Iterator[Regressor]:
-    """Regressors of regions of the hall that act during a part of the measurement; `function` as in `Regressor`."""
+    """Functions of covariates for regions of the hall that act for a part of the time; `function` as in `Regressor`."""
     time, regions = np.unique(sightings.time), candidate_regions(sightings, TEMPORARY_REGION_SHAPES)
     if len(time) < MAX_SEPARATE_AMOUNTS or not regions:
         return
@@ -259,7 +259,7 @@ def temporary_region_regressors(sightings: Sightings, function: str = "") -> Ite
 
 
 def regressors_for_single_targets(sightings: Sightings) -> list[Regressor]:
-    """Regressors for laws of single targets: functions of time, or of additional columns of the recording."""
+    """Functions that errors at single targets may follow: of time, or of additional columns of the recording."""
     names = _varying_covariates(sightings, ("time", *varying_column_names(sightings)))
     straight = [scalar_regressor(name, "power") for name in names]
     return [
@@ -270,7 +270,7 @@ def regressors_for_single_targets(sightings: Sightings) -> list[Regressor]:
 
 
 def regressors_for_target_groups(sightings: Sightings) -> dict[str, list[Regressor]]:
-    """Regressors for motions of a group of targets by kind, such as `step`, `curve` or `amounts` (one per set-up)."""
+    """Functions that motions of a group of targets may follow, by kind: `step`, `curve`, `amounts` and others."""
     local, steps = regressors_for_single_targets(sightings), _time_step_regressors(sightings)
     each = per_setup_regressors(sightings, 2)
     return {
@@ -289,7 +289,7 @@ def regressors_for_target_groups(sightings: Sightings) -> dict[str, list[Regress
 
 
 def _time_step_regressors(sightings: Sightings) -> list[Regressor]:
-    """Regressors that are steps in time, at `MAX_SEPARATE_AMOUNTS` times spread evenly over the pointings."""
+    """Step functions of time (regressors), at `MAX_SEPARATE_AMOUNTS` times spread evenly over the pointings."""
     clock = np.unique(sightings.time)
     if len(clock) < MAX_SEPARATE_AMOUNTS:
         return []
@@ -307,13 +307,13 @@ def _parities_differ(sightings: Sightings) -> bool:
 
 
 def per_setup_regressors(sightings: Sightings, min_setups: int) -> list[Regressor]:
-    """Regressor with a value per set-up, in a list; empty below `min_setups` or above `MAX_SEPARATE_AMOUNTS`."""
+    """List of a function with a value per set-up; empty below `min_setups` or above `MAX_SEPARATE_AMOUNTS` set-ups."""
     n_stations = len(np.unique(sightings.station))
     return [group_amounts_regressor("station", n_stations)] if min_setups <= n_stations <= MAX_SEPARATE_AMOUNTS else []
 
 
 def _per_previous_target_regressors(sightings: Sightings) -> list[Regressor]:
-    """List with one regressor, which has a separate value for each previous target; empty for too many targets."""
+    """List of one function with a separate value for each previous target; empty if there are too many targets."""
     n_targets = len(sightings.target_names)
     return [group_amounts_regressor("last-target", n_targets)] if 1 < n_targets <= MAX_SEPARATE_TARGET_AMOUNTS else []
 
@@ -330,7 +330,7 @@ def lag_regressors(sightings: Sightings, covariates: Iterable[str]) -> list[Regr
 
 
 def product_regressors(sightings: Sightings) -> Iterator[Regressor]:
-    """Iterator over products of two regressors that a search tries, such as the sign of the face times a curve."""
+    """Iterator over products of two functions that a diagnosis tries, such as the sign of the face times a curve."""
     extra = varying_column_names(sightings)
     names = _varying_covariates(sightings, (*MEMORYLESS_COVARIATES[:7], *extra, *_CIRCLE_COVARIATES, *_NEST_COVARIATES))
     trackers = len(np.unique(sightings.instrument))
@@ -392,7 +392,7 @@ def wave_regressors(
 
 
 N_SLOW_WAVE_FREQUENCIES = 18
-"""Number of the lowest frequencies of waves in time that a search tries for motions of targets."""
+"""Number of the lowest frequencies of waves in time that a diagnosis tries for motions of targets."""
 
 
 def _slow_wave_regressors(sightings: Sightings) -> list[Regressor]:

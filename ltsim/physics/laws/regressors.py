@@ -118,15 +118,15 @@ class Regressor:
     """Constant of the function, for the kinds `simple`, `wave`, `cycle`, `state` and `latch`. Time constant [s] of a
     lag, also of a switch (0 for no lag).
 
-    For other kinds it is a number: of eigenfunctions of a curve, of amounts, or of pieces; for a field it is the order
-    of the polynomial.
+    For other kinds it is a number: of eigenfunctions of a curve, of separate values, or of steps and ramps; for a field
+    it is the order of the polynomial.
     """
     factors: tuple[Regressor, ...] = ()
     """Regressors of which this one consists: the factors of a product, the steps and ramps of a sum, or the steps of
     a switch."""
     field_or_amount_targets: tuple[str, ...] = ()
-    """Names of targets: those whose mean position is the origin of a field, or those with separate amounts; empty
-    for all."""
+    """Names of targets: those whose mean position is the origin of a polynomial of the position (`field`), or those
+    with separate values; empty for all."""
     region: HallRegion | None = None
     """Region of the hall of a `passage` or `near` regressor; None for other kinds."""
     release_threshold: float = 0.0
@@ -137,7 +137,8 @@ class Regressor:
 
         If the law moves targets (`acts_on_targets`), the columns are relative to the pointings at which the targets
         have their declared coordinates: those at the start of the measurement, or those at which the additional column
-        of the recording is zero. Without such pointings each column has zero mean.
+        of the recording is zero. Without such pointings each column has zero mean. A law describes an error as a
+        function of covariates such as time.
         """
         columns = self._unreduced_columns(sightings, acts_on_targets)
         if not acts_on_targets or self.kind in ("constant", "field", "amounts", "product"):
@@ -146,7 +147,11 @@ class Regressor:
         return scaled_to_unit_rms(columns) if self.kind == "simple" else columns
 
     def _is_at_declared_coordinates(self, sightings: Sightings) -> Bools:
-        """Mask (n,) of the pointings at which moving targets have their declared coordinates (see `columns`)."""
+        """Mask (n,) of the pointings at which moving targets have their declared coordinates.
+
+        They are the pointings at the start of the measurement, or those at which the additional column of the recording
+        is zero.
+        """
         full_mask = np.ones(len(sightings), dtype=bool)
         name = "".join(self.covariates)
         if name == "time" and self.kind in ("simple", "pieces"):
@@ -188,7 +193,11 @@ class Regressor:
         return self._product_columns(sightings, acts_on_targets)
 
     def _accumulation_or_latch_column(self, sightings: Sightings, name: str) -> Floats:
-        """Values (n,) in n pointings of an accumulated quantity or a latch, minus their mean."""
+        """Values (n,) in n pointings of an accumulated quantity or a latch, minus their mean.
+
+        A latch is on once a covariate exceeds a threshold, and off once it is below a lower one. An accumulated
+        quantity is the sum of the changes of a covariate over the pointings.
+        """
         if self.kind == "latch":
             return latched(sightings, name, self.constant, self.release_threshold)
         return accumulation_column(sightings, name, self.function, self.constant)
@@ -197,8 +206,8 @@ class Regressor:
         """Values (n,) in n pointings of a regressor that depends on a `region` of the hall.
 
         For the kind `passage` they are the length [m] of the line of sight in the region, with the function
-        `DEFLECTION_FUNCTION` weighted by the lever of a deflection. For the kind `near` they are the weight of the
-        region at the target.
+        `DEFLECTION_FUNCTION` weighted by the lever (fraction of the line beyond a point). For the kind `near` they are
+        the weight of the region at the target.
         """
         if self.kind == "near":
             return region.target_weights(sightings)
@@ -282,7 +291,7 @@ class Regressor:
         return replace(self, region=region, covariates=tuple(region.bounded_axes))
 
     def with_field_centred_on(self, targets: tuple[str, ...]) -> Regressor:
-        """Copy of the regressor in which the field has its origin at the mean position of `targets`."""
+        """Copy of the regressor with the mean position of `targets` as origin of its polynomial of the position."""
         if all(f.kind != "field" for f in self.factors):
             return self
         factors = tuple(replace(f, field_or_amount_targets=targets) if f.kind == "field" else f for f in self.factors)

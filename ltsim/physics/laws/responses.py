@@ -37,14 +37,18 @@ PLAUSIBLE_MOTION = 30 * MICROMETRE
 
 @dataclass(frozen=True)
 class Response:
-    """Response: quantity of the measurement, such as the vertical index, that an effect or law changes."""
+    """Response: quantity of the measurement, such as the vertical index, that an effect or law changes.
+
+    A law describes an error as a function of covariates such as time.
+    """
 
     name: str
     """Name of the quantity, as in files and sentences."""
     display_unit: str
     """Display unit of a change of the quantity."""
     plausible_size: float
-    """Plausible size [SI] of a change of the quantity; the prior standard deviation of the coefficients of a law."""
+    """Plausible size [SI] of a change of the quantity; the prior standard deviation of the coefficients of a law (error
+    as a function of covariates)."""
     observables: tuple[str, ...] = ()
     """Names of the observables that the quantity changes most; empty if they depend on positions of stations and
     targets."""
@@ -76,7 +80,8 @@ _CHAIN_ERROR_RESPONSES = {
     "beam-vertical": Response("vertical beam offset", "um", PLAUSIBLE_LENGTH_ERROR, ("elevation",)),
     "beam-tilt": Response("beam tilt", "urad", PLAUSIBLE_ANGLE_ERROR, ("azimuth",)),
 }
-"""Responses that are instrument constants, by the key (`error_key`) of the error of the kinematic chain."""
+"""Responses (changed quantities) that are instrument constants, by the key of the error of the kinematic chain, such as
+`azimuth`."""
 _ECCENTRICITY_RESPONSES = {
     Response(
         f"{effect.observables[0]} eccentricity",
@@ -88,7 +93,8 @@ _ECCENTRICITY_RESPONSES = {
     ): effect
     for effect in (AzimuthEccentricity(), ElevationEccentricity())
 }
-"""Responses that are eccentricities of the circles, each with the catalogue effect that has the same derivatives."""
+"""Responses (changed quantities) that are eccentricities of the circles, each with the catalogue effect that has the
+same derivatives."""
 _READING_RESPONSES = tuple(
     Response(
         name,
@@ -99,7 +105,7 @@ _READING_RESPONSES = tuple(
     )
     for name in OBSERVABLES
 )
-"""Responses that are single observables."""
+"""Responses (changed quantities) that are single observables."""
 _PLAUSIBLE_SIZE_BY_OBSERVABLE = {
     "distance": PLAUSIBLE_LENGTH_ERROR,
     "azimuth": PLAUSIBLE_ANGLE_ERROR,
@@ -120,8 +126,8 @@ _MULTI_OBSERVABLE_RESPONSES = tuple(
     for count in (2, 3)
     for names in combinations(OBSERVABLES, count)
 )
-"""Responses that are pairs or triples of observables, each observable with separate coefficients of the same
-regressor."""
+"""Responses (changed quantities) that are pairs or triples of observables, each observable with separate coefficients
+of the same regressor (function of covariates)."""
 _RANGE_SCALE_RESPONSE = Response("range scale", "ppm", PLAUSIBLE_SCALE_ERROR, ("distance",))
 
 
@@ -143,7 +149,8 @@ INSTRUMENT_CONSTANTS_BY_RESPONSE = (
     | {response.name: tuple(p.name for p in effect.parameters) for response, effect in _ECCENTRICITY_RESPONSES.items()}
     | {"distance": instrument_constants_of_chain_error("range"), _RANGE_SCALE_RESPONSE.name: ("range-scale",)}
 )
-"""Names of the instrument constants of the ordinary calibration that a law changes, by the name of its response."""
+"""Names of the instrument constants of the ordinary calibration that a law (error as a function of covariates) changes,
+by the name of its response (changed quantity)."""
 _STAND_TILT_RESPONSE = Response("lean of the stand", "urad", PLAUSIBLE_ANGLE_ERROR, (), "stand", ("about x", "about y"))
 _STAND_POSITION_RESPONSE = Response(
     "position of the stand", "um", PLAUSIBLE_MOTION, (), "stand", ("along x", "along y", "along z")
@@ -182,7 +189,7 @@ def _multi_observable_design(sightings: Sightings, response: Response) -> Floats
 def _chain_error_design(sightings: Sightings, error_key: str) -> Floats:
     """Derivatives (n, 3, 1) of the raw readings of n pointings with respect to an error of the kinematic chain.
 
-    `error_key` is the key of the error.
+    `error_key` is the key of the error, such as `azimuth`.
     """
     return sightings.reading_change_by_error_key[error_key][:, :, None]
 
@@ -201,7 +208,7 @@ def _nest_normal_design(sightings: Sightings) -> Floats:
 def _reflector_vertex_design(sightings: Sightings) -> Floats:
     """Derivatives (n, 3, 3) of the raw readings of n pointings by displacements of reflector vertices on three axes.
 
-    `reflector_axes` returns the axes: axial, side, up.
+    The axes are the normal of the open face, the horizontal to the right (seen from the front), and up.
     """
     return design_from_displacements(sightings, reflector_axes(sightings))
 
@@ -216,12 +223,15 @@ def _displacement_towards_instrument_design(sightings: Sightings) -> Floats:
 
 
 ResponseDesignFunction = Callable[[Sightings], Floats]
-"""Function from the sightings of n pointings to the derivatives (n, 3, c) of their raw readings with respect to the
-c components of a response."""
+"""Function from the sightings of n pointings to the derivatives (n, 3, c) of their raw readings with respect to the c
+components of a response (changed quantity)."""
 
 
 def _response_registry() -> dict[str, tuple[Response, ResponseDesignFunction]]:
-    """Responses by name, each with the function for the change of the raw readings (see `ResponseDesignFunction`)."""
+    """Responses by name, each with the function that returns the derivatives of the raw readings by the response.
+
+    A response is the quantity that a law changes. A law describes an error as a function of covariates such as time.
+    """
     derivatives: list[tuple[Response, ResponseDesignFunction]] = [
         *((response, partial(_observable_design, observable=response.name)) for response in _READING_RESPONSES),
         *((response, partial(_multi_observable_design, response=response)) for response in _MULTI_OBSERVABLE_RESPONSES),
@@ -240,10 +250,10 @@ def _response_registry() -> dict[str, tuple[Response, ResponseDesignFunction]]:
 
 
 RESPONSE_AND_DESIGN_BY_NAME = _response_registry()
-"""Responses by name, each with the function for the derivatives (n, 3, c) of the raw readings of n pointings with
-respect to its c components."""
+"""Responses (changed quantities) by name, each with the function for the derivatives (n, 3, c) of the raw readings of n
+pointings with respect to its c components."""
 _RESPONSES_NEEDING_NESTS = {_TARGET_HEIGHT_RESPONSE.name, _REFLECTOR_VERTEX_RESPONSE.name}
-"""Names of the responses that need the declared normals of nests."""
+"""Names of the responses (changed quantities) that need the declared normals of nests."""
 
 
 def response_designs(sightings: Sightings) -> dict[str, tuple[Response, Floats]]:
@@ -251,7 +261,8 @@ def response_designs(sightings: Sightings) -> dict[str, tuple[Response, Floats]]
 
     Of several responses with the same derivatives only the first is listed: for example, errors of the vertical index
     and of the elevation are the same if all readings are in one face. A motion of the stand is always listed, because
-    it can depend on other regressors than a motion of the targets.
+    it can depend on other regressors than a motion of the targets. A regressor is a function of covariates to which the
+    error is proportional. A response is the quantity that a law changes.
     """
     designs: dict[str, tuple[Response, Floats]] = {}
     has_nest_normals = bool(np.isfinite(sightings.nest_normals).any())

@@ -41,9 +41,9 @@ PHRASE_BY_COVARIATE = {
     "target": "the target",
     "last-target": "the target before",
 }
-"""Phrases for users in place of covariate names that are not clear in a sentence."""
+"""Phrases, shown to users, in place of covariate names that are not clear in a sentence."""
 GROUP_COVARIATES = ("station", "target", "last-target")
-"""Names of the covariates for whose values (such as stations) a law may have separate amounts."""
+"""Names of the covariates for whose values (such as stations) an error may have separate values."""
 REGRESSOR_TEXT_TEMPLATES: dict[tuple[str, str, float | None], str] = {
     ("constant", "", None): "constant",
     ("smooth", "", None): "a smooth function of {x}",
@@ -88,8 +88,8 @@ REGRESSOR_TEXT_TEMPLATES: dict[tuple[str, str, float | None], str] = {
     ("simple", "power", None): "{x}^{k}",
     ("simple", "power", 1.0): "{x}",
 }
-"""Templates of the text form of a regressor by kind, function and constant (None: any). `x` is a covariate, `k` the
-constant, `value` the constant or a period with its unit."""
+"""Templates of the text of a function of covariates by kind, function and constant (None stands for all). `x` is a
+covariate, `k` the constant, `value` the constant or a period with its unit."""
 UNIT_COVARIATE_BY_FUNCTION = {
     "lagging": "time",
     "fades": "time",
@@ -102,25 +102,25 @@ which the function is applied."""
 MIN_VALUE_BY_DISPLAY_UNIT = {"min": 2.0, "m": 1.0}
 """Smallest value that is displayed in a unit, by unit; a smaller one has a smaller unit (90 s, not 1.5 min)."""
 PER_SETUP_SUFFIX = ", separately at each set-up"
-"""Suffix of the text form of a law with separate coefficients for each set-up."""
+"""Suffix of the text form of a law (error as a function of covariates) with separate coefficients for each set-up."""
 FIXED_RATIO_SUFFIX = ", components in the ratio {values}"
-"""Suffix of the text form of a law whose components have a fixed ratio."""
+"""Suffix of the text form of a law (error as a function of covariates) whose components have a fixed ratio."""
 PER_INSTRUMENT_SUFFIX = ", separately for each instrument"
-"""Suffix of the text form of a regressor with separate coefficients for each instrument."""
+"""Suffix of the text form of a regressor (function of covariates) with separate coefficients for each instrument."""
 SWITCH_TEMPLATE = "a switch of {x}, on from {spans}"
 """Template of the text form of a switch, which is on in the intervals `spans` of the covariate `x`."""
 SWITCH_LAG_SUFFIX = ", followed with a lag of {value}"
-"""Suffix of the text form of a switch if the error follows it with a first-order lag."""
+"""Suffix of the text form of a switch (on, off) if the error follows the switch with a first-order lag."""
 SWITCH_FROM_FIRST_POINTING_TEXT = "the start"
 """Text for the start of the first interval of a switch that is on from the first pointing."""
 FACTOR_SEPARATORS = {"product": " times ", "pieces": ", "}
-"""Separators between the texts of factors, by the kind of regressor: of a product, or of a sum of steps and ramps."""
+"""Separators between the texts of the parts of a function: of a product, or of a sum of steps and ramps."""
 REGION_PHRASE_BY_REGRESSOR = {
     ("passage", ""): "the path through",
     ("passage", DEFLECTION_FUNCTION): "the lever of the path through",
     ("near", ""): "the nearness of targets to",
 }
-"""Words before the text form of a region of the hall, by the kind and the function of the regressor."""
+"""Words before the text form of a region of the hall, by the kind and the name of the function."""
 
 
 def covariate_value_text(covariate: str, value: float, *, has_clock: bool = True) -> str:
@@ -142,7 +142,7 @@ def _si_per_display_unit(covariate: str, has_clock: bool) -> dict[str, float]:
 
 
 def regressor_text(regressor: Regressor, *, has_clock: bool = True) -> str:
-    """Text form of a regressor, such as ``exp(-time / 8 min)``; without a clock, times count rows of the recording."""
+    """Text form of a function of covariates, such as ``exp(-time / 8 min)``; without a clock, times count rows."""
     if regressor.has_curve_per_instrument:
         return regressor_text(regressor.factors[0], has_clock=has_clock) + PER_INSTRUMENT_SUFFIX
     if regressor.kind in FACTOR_SEPARATORS:
@@ -184,7 +184,7 @@ def _switch_text(regressor: Regressor, *, has_clock: bool) -> str:
 
 
 def law_suffix(law: EmpiricalLaw) -> str:
-    """Text that follows the regressor in the text form of a law: coefficients per set-up, ratio of components."""
+    """Text after the function in the text form of an error law: coefficients per set-up, ratio of components."""
     values = " / ".join(f"{r:.4g}" for r in law.component_ratio)
     ratio = FIXED_RATIO_SUFFIX.format(values=values) if values else ""
     return (PER_SETUP_SUFFIX if law.has_coefficients_per_setup else "") + ratio
@@ -210,7 +210,7 @@ TEXT_FORM_EXAMPLES = (
     "a latch of distance, set above 5.2 m, released below 4.1 m",
     "a switch of time, on from 5 min to 20 min, 35 min to the end",
 )
-"""Examples of the text form of a regressor, for messages."""
+"""Examples of the text form of a regressor (function of covariates), for messages."""
 _NUMBER_PATTERN = r"[-+]?(?:\d++(?:\.\d*+)?+|\.\d++)(?:e[-+]?\d++)?+"
 _PLACEHOLDER_PATTERNS = {
     "x": "(?P<x>.+)",
@@ -239,13 +239,13 @@ def parse_law(
     stations: tuple[str, ...] = (),
     targets: tuple[str, ...] = (),
 ) -> EmpiricalLaw:
-    """Law from the name of its response (the changed quantity) and the text form of its regressor.
+    """Error law from the name of the changed quantity and the text of the function of covariates that it follows.
 
-    The law acts at the given stations and targets, or at all. Raises ModelError for an unknown response or text form.
+    The law acts at the given stations and targets, or at all. Raises ModelError for an unknown name or text.
     """
     if response_name not in RESPONSE_AND_DESIGN_BY_NAME:
         raise ModelError(
-            f"there is no response called '{response_name}'; responses are {', '.join(RESPONSE_AND_DESIGN_BY_NAME)}"
+            f"no quantity is called '{response_name}'; expected one of {', '.join(RESPONSE_AND_DESIGN_BY_NAME)}"
         )
     ratio = _RATIO_PATTERN.fullmatch(regressor_text)
     direction = tuple(map(float, ratio["values"].split(" / "))) if ratio else ()
@@ -283,7 +283,7 @@ def parse_law(
 
 
 def parse_regressor(text: str, recording: Recording, n_modes: int = N_CURVE_MODES) -> Regressor:
-    """Regressor from its text form, such as ``exp(-time / 8 min)``; a smooth curve has `n_modes` eigenfunctions.
+    """Function of covariates from its text, such as ``exp(-time / 8 min)``; a curve has `n_modes` eigenfunctions.
 
     Raises ModelError for a text that is no regressor of the recording.
     """
@@ -333,19 +333,19 @@ def parse_regressor(text: str, recording: Recording, n_modes: int = N_CURVE_MODE
             unit_covariate = UNIT_COVARIATE_BY_FUNCTION.get(how, UNIT_COVARIATE_BY_FUNCTION.get(kind, name))
             k = _parse_constant(text, unit_covariate, groups, recording.has_clock)
             if k <= 0.0 and how not in ("step", "ramp", "power"):
-                raise ModelError(f"'{text}' has an invalid constant; expected a number above zero")
+                raise ModelError(f"'{text}' has an invalid constant; expected a constant above zero")
         along = COORDINATE_COVARIATES if kind == "field" else (name,) if name else ()
         constant = 2 * np.pi / k if how == "period" else k
         return Regressor(kind, along, how if kind in ("simple", "state") else "", constant)
     raise ModelError(
-        f"'{text}' is not a regressor of this recording; expected a text such as "
+        f"'{text}' is not a function of covariates of this recording; expected a text such as "
         f"{'; '.join(TEXT_FORM_EXAMPLES)}; with one of the covariates "
         f"{', '.join(covariates)}"
     )
 
 
 def _parse_switch(law_text: str, match: re.Match[str], recording: Recording) -> Regressor:
-    """Switch from its text form and the `match` of this text; raises ModelError for unordered or invalid values."""
+    """Switch (on, off) from its text form and the `match` of the text; raises ModelError for unordered values."""
     name, edges, lag = match["x"], list[Regressor](), 0.0
     is_covariate = name in {*BUILTIN_COVARIATES, *recording.regressor_covariates}
     ends = [end for span in match["spans"].split(", ") for end in span.split(" to ")]
@@ -360,14 +360,14 @@ def _parse_switch(law_text: str, match: re.Match[str], recording: Recording) -> 
             scalar_regressor(name, "step", _parse_constant(law_text, name, value.groupdict(), recording.has_clock))
         )
     if any(edge.constant >= later.constant for edge, later in itertools.pairwise(edges)):
-        raise ModelError(f"'{law_text}' is not a switch; expected increasing times")
+        raise ModelError(f"'{law_text}' is not a switch; expected values in increasing order")
     if match["value"]:
         lag = _parse_constant(law_text, "time", {"value": match["value"], "unit": match["unit"]}, recording.has_clock)
     return replace(switch_regressor(edges), constant=lag)
 
 
 def _parse_latch(law_text: str, match: re.Match[str], recording: Recording) -> Regressor:
-    """Latch from its text form and the `match` of this text; raises ModelError for unordered or invalid thresholds."""
+    """Latch (on above one threshold, off below another) from its text form; raises ModelError for bad thresholds."""
     name, thresholds = match["x"], []
     for text in (match["above"], match["below"]):
         value = re.fullmatch(_PLACEHOLDER_PATTERNS["value"], text)

@@ -51,7 +51,8 @@ class VarianceFunction(CandidateNoiseEffect):
     separate v, and with `has_variance_per_observable` also each observable. For a `region` of the hall the pattern is
     the length of the line of sight in it, divided by the longest such length. With a `covariate_band` the pattern is 1
     if the first covariate is between the first and second limit, the third and fourth, and so on; otherwise it is 0.
-    With a region and a band the pattern is the product of both patterns.
+    With a region and a band the pattern is the product of both patterns. A noise hypothesis says that the noise of some
+    readings differs from the declared noise.
     """
 
     observables: tuple[str, ...] = OBSERVABLES
@@ -67,7 +68,8 @@ class VarianceFunction(CandidateNoiseEffect):
     decreases_with_covariate: bool = False
     """True if the noise decreases as the covariate increases."""
     shared_error_repetition: str = ""
-    """Kind of repeated pointings with the same error (see `REPETITION_KINDS`); empty for independent errors."""
+    """Kind of repeated pointings with the same error: `in each face` or `in both faces`; empty for independent
+    errors."""
     group_kind: str = ""
     """Kind of the groups with separate noise: `target`, `station` or `reading`; empty if the noise is common to all."""
     group_names: tuple[str, ...] = ()
@@ -88,23 +90,23 @@ class VarianceFunction(CandidateNoiseEffect):
         kinds = [f"-{name}" for name in self.observables] if self.has_variance_per_observable else [""]
         names = [f"added-variance{kind} at {name}" for name in self.group_names for kind in kinds]
         return tuple(
-            Parameter(n, "", "added variance where the pattern is 1, divided by the declared variance", 3.0)
+            Parameter(n, "", "added variance where the noise is largest, divided by the declared variance", 3.0)
             for n in names or ["added-variance"]
         )
 
     @property
     def response_text(self) -> str:
-        """Name for users of what changes: `noise`, or the observable whose error repeated pointings share."""
+        """Name, shown to users, of what changes: `noise`, or the observable whose error repeated pointings share."""
         return self.observables[0] if self.shared_error_repetition and len(self.observables) == 1 else "noise"
 
     @property
     def regressor_text(self) -> str:
-        """Name for users of what the variance depends on: the covariates, or the kind of groups."""
+        """Name, shown to users, of what the variance depends on: the covariates, or the kind of groups."""
         return "station and target" if self.shared_error_repetition else self.group_kind or " ".join(self.covariates)
 
     @property
     def text(self) -> str:
-        """Description for users of the changed noise level."""
+        """Description, shown to users, of the changed noise level."""
         if self.shared_error_repetition:
             again = ", in both faces" if self.shared_error_repetition == REPEATS_IN_BOTH_FACES else ""
             return f"errors of unknown form that recur when a target is measured again{again}"

@@ -51,7 +51,7 @@ class GeometricErrorModel:
     parameters: tuple[Parameter, ...]
     """The p error parameters of the instrument, with priors."""
     terms: tuple[ChainErrorTerm, ...]
-    """Terms, one per parameter: the error of the kinematic chain that the parameter changes, and its basis function."""
+    """Terms, one per parameter: error of the kinematic chain that the parameter changes, and error per unit of it."""
 
     @property
     def n_parameters(self) -> int:
@@ -64,7 +64,7 @@ class GeometricErrorModel:
         return tuple(p.name for p in self.parameters)
 
     def instrument_parameter_names(self, instruments: Sequence[str]) -> tuple[str, ...]:
-        """Names of the p parameters of each of I instruments, I p in number; ``beam-tilt@NAME`` for several ones."""
+        """Names of the p parameters of each of I instruments, I p in number; ``beam-tilt@NAME`` if I > 1."""
         marks = [f"@{name}" if name and len(instruments) > 1 else "" for name in instruments]
         return tuple(name + mark for mark in marks for name in self.parameter_names)
 
@@ -82,7 +82,7 @@ class GeometricErrorModel:
 
     @cached_property
     def _chain_with_reading_errors(self) -> tuple[kinematics.KinematicChain, tuple[str, ...]]:
-        """Kinematic chain with an additional error in each motion that is a reading, and keys of the three errors."""
+        """Kinematic chain with an additional error in each motion that is a reading, and names of the three errors."""
         zero_reading, chain, error_keys = np.zeros((1, 3)), list(self.kinematic_chain), []
         functions = [m.motion_amount_function for m in self.kinematic_chain]
         for column in range(3):
@@ -93,7 +93,7 @@ class GeometricErrorModel:
         return tuple(chain), tuple(error_keys)
 
     def basis_values(self, readings: Floats) -> Floats:
-        """Values (n, p) of the basis functions of p parameters at n raw readings (n, 3)."""
+        """Values (n, p) of the basis functions (errors per unit of p parameters) at n raw readings (n, 3)."""
         bases = np.ones((len(self.terms), len(readings)))
         for k, term in self._reading_dependent_terms:
             bases[k] = term.basis(readings)
@@ -101,11 +101,11 @@ class GeometricErrorModel:
 
     @cached_property
     def _reading_dependent_terms(self) -> list[tuple[int, ChainErrorTerm]]:
-        """Indices and terms of those parameters whose basis function depends on the readings."""
+        """Indices and terms of the parameters whose basis function (error per unit) depends on the readings."""
         return [(k, term) for k, term in enumerate(self.terms) if term.basis is not constant_basis]
 
     def chain_errors(self, readings: Floats, parameter_values: Floats) -> dict[str, Floats]:
-        """Errors [m, rad] of the kinematic chain by key, each (n,) or one number, at n raw readings (n, 3).
+        """Errors [m, rad] of the chain by key (such as `beam-tilt`), each (n,) or a number, at n raw readings (n, 3).
 
         `parameter_values` (p,), or (n, p) with separate values for each reading, are in SI units.
         """
@@ -117,7 +117,7 @@ class GeometricErrorModel:
         return errors
 
     def _errors_from_basis_values(self, basis_values: Floats, parameter_values: Floats) -> dict[str, Floats]:
-        """Errors (n,) of the kinematic chain by key, from values (n, p) of the basis functions of p parameters."""
+        """Errors (n,) of the chain by key (such as `beam-tilt`), from errors (n, p) per unit of p parameters."""
         errors: dict[str, Floats] = {}
         for term, amount in zip(self.terms, (basis_values * parameter_values).T, strict=True):
             key = term.chain_error_key
@@ -132,8 +132,8 @@ class GeometricErrorModel:
     def linearise(self, readings: Floats, values: Floats) -> tuple[Floats, Floats, Floats]:
         """Points (n, 3) [m] in the instrument frame, and derivatives by readings (n, 3, 3) and parameters (n, 3, p).
 
-        The derivatives by the n raw readings neglect that the basis functions depend on the readings, a relative error
-        of 1e-5.
+        The derivatives by the n raw readings neglect that the errors of the chain depend on the readings, a relative
+        error of 1e-5.
         """
         (chain, reading_error_keys), bases = self._chain_with_reading_errors, self.basis_values(readings)
         error_keys = {term.chain_error_key for term in self.terms} | set(reading_error_keys)
@@ -190,7 +190,7 @@ class GeometricErrorModel:
 def misalignment_construction(
     effects: Iterable[ChainErrorEffect] = ORDINARY_CALIBRATION_EFFECTS,
 ) -> GeometricErrorModel:
-    """Geometric error model of a tracker with the laser source in the head; by default with all 16 misalignments."""
+    """Geometric error model of a tracker with the laser source in the head; usually with all 16 misalignments."""
     effects = tuple(effects)
     parameters, terms = (tuple(p for e in effects for p in e.parameters), tuple(t for e in effects for t in e.terms))
     return GeometricErrorModel("misalignment", kinematics.MISALIGNMENT_CHAIN, parameters, terms)
@@ -202,8 +202,8 @@ UNIT_AND_SIGMA_BY_SPECIFIED_QUANTITY: dict[str, tuple[str, float]] = {
     "range_offset": ("um", 10 * MICROMETRE),
     "range_scale": ("ppm", 2 * PPM),
 }
-"""Display unit and prior standard deviation [SI] of a parameter, by the quantity of the specification that limits
-it."""
+"""Display unit and prior standard deviation [SI] of a parameter, by the quantity for which the specification limits the
+parameter."""
 COEFFICIENT_SUFFIXES = ("c", "sin", "cos", "sin2", "cos2", "sin3", "cos3", "sin4", "cos4")
 """Suffixes of the names of the coefficients in the error function of an axis: constant, sines and cosines."""
 DH_ERROR_MOTIONS = ("eX", "eY", "eZ", "dX", "dY", "dZ")
@@ -247,8 +247,8 @@ def dh_construction(max_order: int = 2, degree: int = 2, *, unphysical_sigma: fl
 
     Notes
     -----
-    Sine and cosine coefficients replace the paper's amplitude and phase, because the phase is undefined at zero
-    amplitude. Units are um and urad; coefficient k of a polynomial is per metre^k.
+    Sine and cosine coefficients replace amplitude and phase of Sensors 2021, 21, 7479, because the phase is undefined
+    at zero amplitude. Units are um and urad; coefficient k of a polynomial is per metre^k.
     """
     joints = [(f"{joint}.{motion}", column) for joint, column in (("J1", 1), ("J2", 2)) for motion in DH_ERROR_MOTIONS]
     waves = range(2 * max_order + 1)
@@ -265,7 +265,7 @@ def dh_construction(max_order: int = 2, degree: int = 2, *, unphysical_sigma: fl
         unit, size = ("urad", ARCSECOND) if ".e" in key else ("um", 5 * MICROMETRE)
         unspecified = unit, unphysical_sigma * size * scale
         unit, sigma = UNIT_AND_SIGMA_BY_SPECIFIED_QUANTITY[quantity] if quantity else unspecified
-        parameters.append(Parameter(name, unit, f"coefficient {name} of the D-H chain", sigma, quantity))
+        parameters.append(Parameter(name, unit, f"coefficient {name} of the Denavit-Hartenberg chain", sigma, quantity))
         terms.append(ChainErrorTerm(key, basis))
     return GeometricErrorModel("dh", kinematics.DH_CHAIN, tuple(parameters), tuple(terms))
 
@@ -305,8 +305,8 @@ MIRROR_PARAMETERS: tuple[tuple[str, SpecifiedQuantity, HarmonicBasis | None, str
     ("elevation-second-order-cos", "angle", HarmonicBasis("cos", 2, 1.0), "cosine of twice the mirror's angle"),
     ("elevation-second-order-sin", "angle", HarmonicBasis("sin", 2, 1.0), "sine of twice the mirror's angle"),
 )
-"""Misalignments of mirror, axes, cover plate and beam: name, specified quantity, harmonic of the mirror's angle
-(half the raw elevation), description. One without harmonic is the error with its name in `STEERING_MIRROR_CHAIN`."""
+"""Misalignments of mirror, axes, cover plate and beam: name, specified quantity, harmonic of the mirror's angle (half
+the raw elevation), description. Without harmonic, the chain error of that name is changed (`STEERING_MIRROR_CHAIN`)."""
 
 
 def steering_mirror_construction() -> GeometricErrorModel:
@@ -331,7 +331,7 @@ CONSTRUCTION_FACTORY_BY_NAME: dict[str, Callable[[], GeometricErrorModel]] = {
     "steering-mirror": steering_mirror_construction,
     "ideal": ideal_construction,
 }
-"""Functions that create a geometric error model with its default orders, by the name of the model."""
+"""Functions that create a geometric error model with its usual orders of series, by the name of the model."""
 
 
 def make_construction(name: str, max_order: int | None = None, degree: int | None = None) -> GeometricErrorModel:
@@ -358,7 +358,7 @@ def construction_with_dh_orders(name: str, max_order: int, degree: int) -> Geome
 
 
 def construction_for_parameters(name: str, parameters: Iterable[str]) -> GeometricErrorModel:
-    """Geometric error model by name; ``dh`` with the lowest orders that include all `parameters` (names)."""
+    """Geometric error model by name; ``dh`` with the lowest orders of its series that include all `parameters`."""
     if name != "dh":
         return make_construction(name)
     ends = [p.rpartition("_") for p in parameters]
@@ -373,7 +373,7 @@ def construction_for_parameters(name: str, parameters: Iterable[str]) -> Geometr
 
 @cache
 def all_instrument_parameter_names() -> frozenset[str]:
-    """Names of the parameters of all geometric error models, with the highest orders of `dh`."""
+    """Names of the parameters of all geometric error models, with all coefficients of the Denavit-Hartenberg model."""
     constructions = (
         misalignment_construction(),
         steering_mirror_construction(),

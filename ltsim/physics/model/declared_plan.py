@@ -33,7 +33,8 @@ class DeclaredPlan:
     placed_station_positions: Floats
     """Approximate positions (k, 3) [m] of the stations in `placed_station_indices`."""
     station_yaws: tuple[float | None, ...]
-    """Approximate yaw [deg] of each of the S stations; None for a station without a declared yaw."""
+    """Approximate yaw [deg] of each of the S stations: rotation about the vertical from the x axis of the floor plan,
+    counter-clockwise seen from above. None for a station without a declared yaw."""
 
     @classmethod
     def from_recording(cls, recording: Recording) -> DeclaredPlan:

@@ -55,7 +55,7 @@ class IncidenceErrors(LinearEffect):
     def parameters(self) -> tuple[Parameter, ...]:
         """The k independent errors as parameters, each with a prior standard deviation of one."""
         return (
-            Parameter("incidence-error", "", "range error of a reflector as a function of incidence", 1.0),
+            Parameter("incidence-error", "", "range error of a reflector as a function of the angle of incidence", 1.0),
         ) * self.covariance_root.shape[1]
 
     def smr_incidence_parameters(self, independent_errors: Floats) -> Floats:
@@ -80,7 +80,7 @@ class IncidenceErrors(LinearEffect):
         )
 
     def reading_change(self, sightings: Sightings, independent_errors: Floats) -> Floats:
-        """Change (n, 3) of the readings of n pointings by the mean function and by k independent errors (k,)."""
+        """Change (n, 3) of the readings of n pointings by the incidence error: mean plus k independent errors (k,)."""
         return design_from_front_face_corrections(
             sightings, distance=self._range_error_design(sightings) @ self.smr_incidence_parameters(independent_errors)
         )

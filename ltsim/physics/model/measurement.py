@@ -41,7 +41,7 @@ def sightings_at_state(recording: Recording, state: NetworkState) -> Sightings:
 
 
 def _sightings_with_rotated_nests(recording: Recording, state: NetworkState, nest_rotation: Floats) -> Sightings:
-    """Sightings as in `sightings_at_state`, with nest normals rotated by the matrix `nest_rotation` (3, 3)."""
+    """Sightings for poses and coordinates in `state`, with nest normals rotated by `nest_rotation` (3, 3)."""
     return Sightings(
         station=recording.station,
         target=recording.target,
@@ -166,7 +166,7 @@ class MeasurementModel:
 
     @property
     def incidence_parameter_slices(self) -> tuple[slice, ...]:
-        """Slices that select the parameters of each entry of `incidence_errors` from the q additional parameters."""
+        """Slices of the parameters of each of `incidence_errors` in those of all effects and nuisance errors."""
         first_column = self.n_effect_parameters + sum(len(heads.parameters) for heads in self.height_errors)
         boundaries = first_column + np.cumsum([0, *(len(error.parameters) for error in self.incidence_errors)])
         return tuple(slice(int(begin), int(end)) for begin, end in itertools.pairwise(boundaries))
@@ -174,19 +174,19 @@ class MeasurementModel:
     def incidence_parameters_by_reflector(self, parameters: Floats) -> dict[str, Floats]:
         """Parameters (p, ...) [SI] of the effect `smr-incidence` by the name of the reflector.
 
-        `parameters` (q, ...) are the values of all q additional parameters.
+        `parameters` (q, ...) are the values of all q parameters of effects and nuisance errors.
         """
         columns = zip(self.incidence_errors, self.incidence_parameter_slices, strict=True)
         return {error.reflector: error.smr_incidence_parameters(parameters[at]) for error, at in columns}
 
     @cached_property
     def centring_errors(self) -> tuple[CentringErrors, ...]:
-        """Centring errors that the set-up declares; their parameters are the last of the q additional ones."""
+        """Centring errors that the set-up declares; their parameters follow those of all other nuisance errors."""
         return centring_errors(self.recording)
 
     @property
     def centring_parameter_slices(self) -> tuple[slice, ...]:
-        """Slices that select the parameters of each entry of `centring_errors` from the q additional parameters."""
+        """Slices of the parameters of each of `centring_errors` in those of all effects and nuisance errors."""
         n_parameters = [len(errors.parameters) for errors in self.centring_errors]
         boundaries = self.n_extra_parameters - sum(n_parameters) + np.cumsum([0, *n_parameters])
         return tuple(slice(int(begin), int(end)) for begin, end in itertools.pairwise(boundaries))
@@ -214,7 +214,7 @@ class MeasurementModel:
 
     @property
     def n_effect_parameters(self) -> int:
-        """Number of parameters of `effects`; they are the first of the q additional parameters."""
+        """Number of parameters of `effects`; they are the first of the q parameters of effects and nuisance errors."""
         return sum(len(effect.parameters) for effect in self.effects)
 
     def _instrument_parameter_values(self, state: NetworkState) -> Floats:
@@ -264,21 +264,21 @@ class MeasurementModel:
         )
 
     def extra_design(self, sightings: Sightings) -> Floats:
-        """Derivatives (n, 3, q) of the readings of n pointings with respect to the q additional parameters."""
+        """Derivatives (n, 3, q) of n readings with respect to the q parameters of effects and nuisance errors."""
         if not self.effects_and_nuisance_errors:
             return np.zeros((len(sightings), 3, 0))
         return np.concatenate([effect.design(sightings) for effect in self.effects_and_nuisance_errors], axis=2)
 
     def change_by_extra_parameters(self, sightings: Sightings, parameters: Floats) -> Floats:
-        """Change (n, 3) of the readings of n pointings by all q additional parameters, whose values are (q,) [SI]."""
+        """Change (n, 3) of n readings by effects and nuisance errors, for the values (q,) [SI] of their parameters."""
         return self._linear_effects_change(self.effects_and_nuisance_errors, sightings, parameters)
 
     def change_by_effects(self, sightings: Sightings, parameters: Floats) -> Floats:
-        """Change (n, 3) of the readings of n pointings by `effects`; `parameters` (q,) [SI] are all additional ones."""
+        """Change (n, 3) of the readings of n pointings by `effects`; `parameters` (q,) [SI] include nuisance errors."""
         return self._linear_effects_change(self.effects, sightings, parameters)
 
     def change_by_incidence_errors(self, sightings: Sightings, parameters: Floats) -> Floats:
-        """Change (n, 3) of the readings of n pointings by incidence errors; `parameters` (q,) are all additional."""
+        """Change (n, 3) of the readings of n pointings by incidence errors; `parameters` (q,) include effects."""
         return incidence_reading_change(self.recording, sightings, self.incidence_parameters_by_reflector(parameters))
 
     def _linear_effects_change(
@@ -286,8 +286,8 @@ class MeasurementModel:
     ) -> Floats:
         """Change (n, 3) of the readings of n pointings by `linear_effects`.
 
-        They must be the first of `effects_and_nuisance_errors`. `parameters` (q,) are the values of all q additional
-        parameters.
+        The `linear_effects` must be the first of `effects_and_nuisance_errors`. `parameters` (q,) are the values of all
+        q parameters of effects and nuisance errors.
         """
         change = np.zeros((len(sightings), 3))
         for linear_effect, values in zip(linear_effects, self._values_by_effect(parameters), strict=False):

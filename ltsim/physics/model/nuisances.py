@@ -36,8 +36,8 @@ class HeightErrors(LinearEffect):
     height_sigma: float
     """Standard deviation [m] of each height error."""
     occupation_coefficients: Floats
-    """Coefficients (n, q) of the height errors of q occupations in n pointings: 1 for the occupation of the
-    reflector, -1 for the occupation of the instrument, otherwise 0."""
+    """Coefficients (n, q) of the height errors of q occupations (times over a ground mark) in n pointings: 1 for the
+    occupation of the reflector, -1 for the occupation of the instrument, otherwise 0."""
     plumb_directions: Floats
     """Unit vectors (n, 3) upward along the plumb line at the station of each of n pointings."""
 
@@ -48,7 +48,7 @@ class HeightErrors(LinearEffect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Height errors, one per occupation, with the declared standard deviation as prior."""
+        """Height errors, one per occupation of a ground mark, with the declared standard deviation as prior."""
         return (
             Parameter("head-height", "mm", "height error of an instrument or reflector", self.height_sigma),
         ) * self.occupation_coefficients.shape[1]
@@ -90,7 +90,8 @@ class CentringErrors(TargetDisplacement):
     displacement_sigma: float
     """Standard deviation [m] of each component of a displacement."""
     occupation_indices: Ints
-    """Index (n,) of the occupation of each of n pointings; -1 for a pointing without displacement."""
+    """Index (n,) of the occupation (placement of a reflector) of each of n pointings; -1 for a pointing without
+    displacement."""
 
     @property
     def name(self) -> str:
@@ -99,7 +100,7 @@ class CentringErrors(TargetDisplacement):
 
     @property
     def n_occupations(self) -> int:
-        """Number of occupations of targets."""
+        """Number of occupations of targets (placements of reflectors)."""
         return int(self.occupation_indices.max(initial=-1)) + 1
 
     @property
@@ -110,7 +111,7 @@ class CentringErrors(TargetDisplacement):
         ) * (3 * self.n_occupations)
 
     def displacement(self, sightings: Sightings) -> Floats:
-        """Derivatives (n, 3, q) of the reflector's displacement in n pointings with respect to the q components."""
+        """Derivatives (n, 3, q) of the reflector's displacement in n pointings by q components of displacements."""
         displacements = np.zeros((len(sightings), 3, self.n_occupations, 3))
         occupied_rows = np.flatnonzero(self.occupation_indices >= 0)
         displacements[occupied_rows, :, self.occupation_indices[occupied_rows]] = np.eye(3)

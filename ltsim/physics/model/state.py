@@ -27,7 +27,7 @@ class NetworkState:
     instrument_parameters: Floats
     """The p parameters of the geometric error model for each of I instruments, (I, p) [SI]."""
     extra_parameters: Floats = field(default_factory=lambda: np.zeros(0))
-    """The q additional parameters, of effects and of nuisance errors, (q,) [SI]."""
+    """The q parameters of effects and nuisance errors, of effects and of nuisance errors, (q,) [SI]."""
 
     def with_increments(
         self, pose_increments: Floats, point_increments: Floats, instrument_increments: Floats, extra_increments: Floats
@@ -36,7 +36,8 @@ class NetworkState:
 
         `pose_increments` (S, 6) are translations [m] and rotation vectors [rad] of the S stations in the network frame.
         `point_increments` (T, 3) [m], `instrument_increments` (I, p) and `extra_increments` (q,) are added to the
-        coordinates of T targets, to the p parameters of I instruments, and to the q additional parameters.
+        coordinates of T targets, to the p parameters of I instruments, and to the q parameters of effects and nuisance
+        errors.
         """
         return type(self)(
             self.station_positions + pose_increments[:, :3],
@@ -60,4 +61,5 @@ class Prediction:
     instrument_derivatives: Floats
     """Derivatives of the readings of n pointings with respect to the p instrument parameters, (n, 3, p)."""
     extra_derivatives: Floats
-    """Derivatives of the readings of n pointings with respect to the q additional parameters, (n, 3, q)."""
+    """Derivatives of the readings of n pointings with respect to the q parameters of effects and nuisance errors, (n,
+    3, q)."""

@@ -227,11 +227,11 @@ class TargetSigmas:
     distance_sigma_mm: float
     """Constant part [mm] of the standard deviation of a distance."""
     distance_sigma_ppm: float
-    """Part of the standard deviation of a distance that is proportional to the distance."""
+    """Part [ppm] of the standard deviation of a distance that is proportional to the distance."""
     target_height: float
 
     def sigma_of(self, kind: str, options: LineOptions, value: float) -> float:
-        """Standard deviation [m, rad] of an observation, from the options of its line, otherwise from this declaration.
+        """Standard deviation [m, rad] of an observation, from the options of its line or else from the kind of target.
 
         `kind` is azimuth, elevation or distance; `value` is the distance [m]. Raises RecordError if the result is 0.
         """
@@ -251,7 +251,7 @@ class TargetSigmas:
 
 @dataclass
 class PolarInstrument:
-    """Polar instrument in an LGC file: name of its default kind of target, height [m], kinds of target by name."""
+    """Polar instrument in an LGC file: name of its default kind of target, its height [m], kinds of target by name."""
 
     default_target_kind: str
     height: float

@@ -160,9 +160,10 @@ class FieldBook:
         return with_earth_curvature(recording_from_pointings(pointings, setup, notes=all_notes, file=self.path))
 
     def _shared_position(self, points: Mapping[str, str]) -> Vector | None:
-        """Coordinates [mm] that all set-ups have, although they are over several `points`; None otherwise.
+        """Coordinates [mm] that all set-ups have, although they are over several points; None if they differ.
 
-        Instruments write them, mostly zeros, if nobody entered the coordinates of a station.
+        `points` is the name of the point under each set-up. Instruments write equal coordinates, mostly zeros, if
+        nobody entered the coordinates of a station.
         """
         positions = {self.setups[name][2] for name in points}
         shared = next(iter(positions))

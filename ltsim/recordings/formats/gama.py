@@ -44,9 +44,9 @@ from ltsim.recordings.setup import EXACT_LEVELLING_SIGMA_ARCSEC, Instrument, Len
 from ltsim.recordings.xml import XmlNode, parse_xml
 
 MIRRORED_AXES = ("ne", "sw", "es", "wn")
-"""Directions of the x and y axes that form a left-handed system, for which the sign of y is changed."""
+"""Directions (n, e, s or w) of the x and y axes that form a left-handed system, for which the sign of y is changed."""
 UNMIRRORED_AXES = ("en", "nw", "se", "ws")
-"""Directions of the x and y axes that form a right-handed system."""
+"""Directions (n, e, s or w) of the x and y axes that form a right-handed system."""
 CENTESIMAL_SECOND = SI_PER_UNIT["cc"]
 """Size [rad] of the unit cc, which is 1e-4 gon."""
 STDEV_ATTRIBUTE_PREFIXES = {"z-angle": "zenith-angle", "s-distance": "distance"} | {

@@ -255,8 +255,8 @@ def split_correlations(block: XmlNode, matrix: tuple[Ints, Ints, Floats], n_earl
     The results are the standard deviations (n,) of the independent errors, and the changes F (n, q) of the observations
     by one standard deviation of each of q shared errors. With the diagonal matrix D of the independent standard
     deviations, the declared covariance is D^2 + F F'. F has as few columns as permit a D without zeros, and none for
-    uncorrelated observations. `matrix` is the result of `covariance_entries`. `n_earlier` is the number of shared
-    errors of earlier observations, which count for the limit. Raises RecordError.
+    uncorrelated observations. `matrix` has row indices, column indices and values of the upper band of the covariance.
+    `n_earlier` is the number of shared errors of earlier observations, which count for the limit. Raises RecordError.
     """
     (row, column, numbers), diagonal = matrix, matrix[0] == matrix[1]
     if not np.all(numbers[diagonal] > 0.0):

@@ -145,7 +145,7 @@ def _observation_lines(recording: Recording) -> Iterator[str]:
 
 
 def _length_lines(recording: Recording) -> Iterator[str]:
-    """XML elements of the reference lengths at their temperature during the recording."""
+    """XML elements of the reference lengths, converted to their temperature during the recording."""
     lengths = ReferenceLengths.from_recording(recording)
     ends = [[quoteattr(recording.targets[i]) for i in end] for end in (lengths.first_targets, lengths.second_targets)]
     for first, second, length, sigma in zip(

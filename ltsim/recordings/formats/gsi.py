@@ -189,8 +189,8 @@ class _GsiFileProperties:
         describe points. If coordinates of stations declare the set-ups, all codes describe points. `is_line_broken` is
         True if the last line ends with a line break.
 
-        Raises RecordError, which names `path`, for a file of a level. Raises it also for an incomplete last line, which
-        has no line break and not the words of the line before.
+        Raises RecordError, which names `path`, for a file of a levelling instrument. Raises it also for an incomplete
+        last line, which has no line break and lacks words of the line before.
         """
         if (
             self.last_block is not None

@@ -120,9 +120,10 @@ def _parse_pointing(
 
 
 def _polar_reading(values_by_observable: dict[str, float]) -> tuple[float, float, float]:
-    """Range [m], azimuth [rad] and raw elevation [rad] of a reading; NaN if not measured.
+    """Range [m], azimuth [rad] and elevation [rad] of a reading; NaN if not measured.
 
-    `values_by_observable` contains ``x``, ``y``, ``z`` [m], or ``distance`` [m], ``azimuth`` and ``zenith`` [rad].
+    The elevation exceeds pi / 2 in face 2. `values_by_observable` contains ``x``, ``y``, ``z`` [m], or ``distance``
+    [m], ``azimuth`` and ``zenith`` [rad].
     """
     if "x" in values_by_observable:
         d, a, e = to_polar(

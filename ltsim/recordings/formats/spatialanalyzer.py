@@ -40,7 +40,7 @@ MAX_SAME_POINT_DISTANCE = 2e-3
 MAX_REPORT_OBSERVATIONS = 150_000
 """Largest permitted number of observations in a report; each takes 2.4 kB of memory and 0.1 ms."""
 SPATIALANALYZER_COLUMN_MAP = "target=Target,horizontal=Azimuth,vertical=Elevation,distance=Distance"
-"""Roles of the columns in the table of a set-up, in the notation of the option `--columns`."""
+"""Contents (roles) of the columns in the table of a set-up, in the notation of the option `--columns`."""
 PERMITTED_UNITS_BY_COLUMN = {"target": None, "azimuth": ANGLE_UNITS, "elevation": ANGLE_UNITS, "distance": LENGTH_UNITS}
 """Columns that the table of a set-up must have, with their permitted units; None for a column without unit."""
 USED_REPORT_COLUMNS = (*PERMITTED_UNITS_BY_COLUMN, "datetime", "offset1", "offset2")
@@ -281,7 +281,9 @@ def _new_names_by_group(name: str, groups: dict[str, list[tuple[str, Floats]]]) 
     """
     clusters: list[tuple[Floats, list[str]]] = []
     indices_by_cell: defaultdict[tuple[float, ...], list[int]] = defaultdict(list)
-    """Indices of the clusters in each cell of a grid, of which a point has near ones in its own and adjacent cells."""
+    """Indices of the clusters of positions, by cell of a cubic grid; a cluster near a position is in its cell or an
+    adjacent one.
+    """
     for group, members in groups.items():
         centre = np.median([position for _, position in members], axis=0)
         cell = np.floor(centre / MAX_SAME_POINT_DISTANCE).tolist()

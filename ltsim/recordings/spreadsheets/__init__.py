@@ -1,1 +1,1 @@
-"""Cells, headers and rows of delimited text and workbooks, whatever the rows mean."""
+"""Cells, headers and rows of delimited text and workbooks, independent of what the rows describe."""

@@ -223,7 +223,7 @@ def parse_number_or_angle(text: str, thousands_separator: str = "") -> Decimal |
 
 
 def parse_number_or_angle_unless_time(text: str, thousands_separator: str = "") -> Decimal | None:
-    """Exact value as from `parse_number_or_angle`; None for a cell that is a date or a time.
+    """Exact value of a number or angle [deg] in a cell; None for other cells, such as a date or a time.
 
     `thousands_separator` is the separator used in the sheet, '' for none.
     """
@@ -371,8 +371,8 @@ def _with_numeric_month(text: str) -> str:
 def _parse_date_and_time(text: str, letters: str, date_order: str | None) -> datetime | None:
     """Date, with or without time of day, whose parts are in the order `letters` (such as "dmy"); None for other texts.
 
-    `date_order` excludes the other order of day and month. The time zone is ignored, because all times of a file have
-    the same one.
+    If `date_order` is "dmy" or "mdy", dates in the other of these two orders are not accepted. The time zone is
+    ignored, because all times of a file have the same one.
     """
     day, _, clock_text = re.sub(r"(?<=\d)T(?=\d)", " ", _with_numeric_month(text.strip())).partition(" ")
     clock_text = re.sub(r"(Z|[+-]\d{2}:?\d{2})$", "", clock_text.strip())

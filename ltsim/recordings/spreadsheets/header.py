@@ -21,17 +21,18 @@ from ltsim.recordings.spreadsheets.title_words import (
 )
 
 HORIZONTAL_ROLES = ("horizontal", "azimuth")
-"""Roles of columns of horizontal angles: `horizontal` (readings of a horizontal circle) and `azimuth`."""
+"""Roles (contents) of columns of horizontal angles: `horizontal` (readings of a horizontal circle) and `azimuth`."""
 VERTICAL_ROLES = ("vertical", "zenith", "elevation")
-"""Roles of columns of vertical angles: `vertical` (kind not given by the title), `zenith` and `elevation`."""
+"""Roles (contents) of columns of vertical angles: `vertical` (kind not given by the title), `zenith` and `elevation`.
+"""
 DISTANCE_ROLES = ("distance", "flat")
-"""Roles of columns of slope distances (`distance`) and horizontal distances (`flat`)."""
+"""Roles (contents) of columns of slope distances (`distance`) and horizontal distances (`flat`)."""
 COORDINATE_ROLES = ("x", "y", "z")
-"""Roles of columns of coordinates of targets."""
+"""Roles (contents) of columns of coordinates of targets."""
 READING_ROLES = (*HORIZONTAL_ROLES, *VERTICAL_ROLES, *DISTANCE_ROLES, *COORDINATE_ROLES)
-"""Roles of columns of readings, or of coordinates in place of readings."""
+"""Roles (contents) of columns of readings, or of coordinates in place of readings."""
 HEIGHT_ROLES = ("instrument_height_mm", "target_height_mm")
-"""Roles of columns of heights above survey marks."""
+"""Roles (contents) of columns of heights above survey marks."""
 SIGMA_ROLES = {
     **dict.fromkeys(DISTANCE_ROLES, "sigma_distance_mm"),
     **dict.fromkeys(HORIZONTAL_ROLES, "sigma_azimuth_arcsec"),
@@ -192,9 +193,9 @@ def _compute_header_columns(fields: tuple[str, ...]) -> list[TableColumn]:
 
 
 def _with_distance_sigma_role(column: TableColumn) -> TableColumn:
-    """Column with the role of standard deviations of distances if its title is sD; other columns unchanged.
+    """Column with the role of standard deviations of distances if its title is sD; any other column unchanged.
 
-    It is applied only in tables with another column of distances; elsewhere the title denotes slope distances (SD).
+    It is for tables with another column of distances; elsewhere the title denotes slope distances (SD).
     """
     is_sigma = column.role == "distance" and title_words_and_unit(column.title)[0] == "sd"
     return replace(column, role=SIGMA_ROLES["distance"]) if is_sigma else column
@@ -290,7 +291,10 @@ def _is_recognised_title(title: str) -> bool:
 
 
 def is_header(columns: Sequence[TableColumn], *, allows_unnamed: bool = False) -> bool:
-    """True for titles of two kinds of reading, of named directions, or of coordinates (named, or `allows_unnamed`)."""
+    """True for titles of two kinds of reading, of directions and names, or of coordinates x, y, z and names.
+
+    With `allows_unnamed`, coordinates need no names.
+    """
     roles = {column.role for column in columns}
     has_named_directions = {"station", "target"} <= roles and not roles.isdisjoint(HORIZONTAL_ROLES)
     has_coordinates = has_named_coordinates(columns) or (allows_unnamed and {*COORDINATE_ROLES} <= roles)
@@ -388,10 +392,7 @@ def split_title_and_unit(text: str) -> tuple[str, str]:
 
 
 def reading_kind(role: str) -> str:
-    """Kind of reading (``horizontal``, ``vertical``, ``distance``) in a column with this role; other roles unchanged.
-
-    The role of a column is its content, such as `zenith`.
-    """
+    """Kind of reading (``horizontal``, ``vertical``, ``distance``) of a role of columns; other roles unchanged."""
     for kind in (HORIZONTAL_ROLES, VERTICAL_ROLES, DISTANCE_ROLES):
         if role in kind:
             return kind[0]

@@ -241,7 +241,7 @@ def _detect_separator(lines: Sequence[str]) -> str:
 
 
 def _max_numeric_field_count(lines: Sequence[str], separator: str, min_columns: int) -> int:
-    """Largest number of numeric fields in all lines of one length, among lengths of at least `min_columns` fields."""
+    """Largest total number of numeric fields in lines that have equally many fields, at least `min_columns`."""
     wide_rows = [fields for fields in (_split_fields(line, separator) for line in lines) if len(fields) >= min_columns]
     is_number_cell = is_number if separator == "," else is_numeric
     counts: Counter[int] = Counter()

@@ -12,7 +12,9 @@ from ltsim.recordings.spreadsheets.sheets import SheetRow
 INSTRUMENT_WORDS = frozenset(
     ("instrument", "instrumentname", "tracker", "trackername", "device", "deviceid", "devicename")
 )
-"""Words that precede the name of an instrument in a line; without a line that names the station, this is its name."""
+"""Words that precede the name of an instrument in a line. It is also the name of the station if no line names a
+station.
+"""
 STATION_WORDS_BEFORE_SIGN = frozenset(("from", "fromstn", "fromstation", "frompoint", "frompointid", "von"))
 """Words that precede the name of a station only if a colon or an equals sign follows; otherwise they are part of a
 text."""
@@ -58,7 +60,7 @@ class StationContext:
         return station is not None or bool(heights)
 
     def missing_height_columns(self, columns: Sequence[TableColumn]) -> list[TableColumn]:
-        """Columns for heights that lines have given and the header lacks; their positions follow those of `columns`."""
+        """Columns for heights that lines have given and the header lacks, with positions after those of `columns`."""
         roles = {column.role for column in columns}
         further_columns = [column for column in self.height_columns if column.role not in roles]
         return [replace(column, position=len(columns) + i) for i, column in enumerate(further_columns)]

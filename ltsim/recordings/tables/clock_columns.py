@@ -48,7 +48,7 @@ def with_time_column(table: PointingTable) -> PointingTable:
 
 
 def pointing_times(table: PointingTable, hints: Hints) -> tuple[list[float], str, list[str]]:
-    """Time [s] of each pointing (NaN if unreadable), date and time of time 0 in ISO format or '', and notes."""
+    """Time [s] of each pointing since time 0 (NaN if unreadable), time 0 in ISO format or '', and notes."""
     column = table.column_with_role(("time",)) or table.column_with_role(("date",))
     texts = table.pointings.date_and_time
     missing = [float("nan")] * len(texts)

@@ -178,7 +178,7 @@ def _is_minutes_or_seconds(column: tuple[str, ...]) -> bool:
 def _possible_conventions(
     horizontal: Sequence[int], vertical: Sequence[int], columns: CellsByColumn, titles: Sequence[str]
 ) -> list[tuple[str, str]]:
-    """Pairs of angle unit and kind of vertical angle that agree with numbers and title, the most likely first.
+    """Pairs of angle unit and kind of vertical angle that agree with the cells and titles, the most likely first.
 
     `horizontal` and `vertical` are the positions of the columns of both angles.
     """
@@ -199,10 +199,11 @@ def _possible_conventions(
 def _distance_assignments(
     role: str, candidate_columns: Sequence[int], titles: Sequence[str], columns: CellsByColumn, angle: Sequence[int]
 ) -> list[list[str]]:
-    """Assignment `role=title[unit]` for the first candidate column whose cells may be distances, as [[assignment]].
+    """Assignment `role=title[unit]` for the first candidate column whose cells may be distances.
 
-    The result is [] if there is no such column. The unit is that in the title. Without one it is the metre if the
-    column `angle` is in degrees, minutes and seconds; otherwise the size of the numbers decides.
+    The result is a list with one list, which has the assignment; it is empty if there is no such column. The unit is
+    that in the title. Without one it is the metre if the column `angle` is in degrees, minutes and seconds; otherwise
+    the size of the numbers decides.
     """
     candidates = [
         i

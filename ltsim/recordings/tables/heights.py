@@ -11,7 +11,7 @@ from ltsim.recordings.tables.pointing_table import PointingTable, distinct_with_
 def covariates_with_instrument_heights(
     table: PointingTable, covariates: dict[str, Floats]
 ) -> tuple[dict[str, Floats], list[str]]:
-    """Covariates with the instrument height of its set-up in each row, and notes on empty cells of heights.
+    """Copy of `covariates` with the instrument height of the set-up in each row, and notes on empty cells of heights.
 
     `covariates` are the additional columns of numbers by name, each (n,). A table often gives the height of the
     instrument in the first row of a set-up only, because it is constant.

@@ -191,7 +191,7 @@ def _require_no_nadir_angles(table: PointingTable, file: Path) -> None:
 
 
 def _missing_readings_notes(table: PointingTable) -> list[str]:
-    """Notes that the table lacks a kind of reading, although columns with unknown titles have its units."""
+    """Notes on kinds of reading that the table lacks, although columns with unknown titles have their units."""
     notes = []
     for kind, name, units in (
         (HORIZONTAL_ROLES, "azimuths", ANGLE_UNITS),

@@ -17,7 +17,9 @@ MIN_PACKED_DIGITS = 4
 """Smallest number of decimals of a packed angle, for minutes and seconds."""
 
 N_CELLS_TESTED_FOR_PACKED_ANGLES = 1000
-"""Number of cells of each column that are tested before the rest, to save time."""
+"""Number of cells of each column that are tested first, to save time; the rest is tested only if these can be packed
+angles.
+"""
 
 
 def with_unpacked_angles(table: PointingTable, hints: Hints) -> PointingTable:

@@ -59,7 +59,7 @@ def apply_exactly(
     """Floating-point numbers (n,) nearest to exact results of `function(digits * factor)`; NaN for a missing number.
 
     `function` gets two arguments: the products (n,) as integers, in units of their last digit, and the integer that
-    represents 1.0.
+    represents 1.0. By default it returns the products.
     """
     numbers = np.full(len(digits), np.nan)
     filled = digits != b""
@@ -155,7 +155,7 @@ class UnconvertedPointings:
 
     @property
     def complete_columns(self) -> tuple[list[Any], ...]:
-        """Lists with an entry for every row (file, line, station, ...), in the order of the fields."""
+        """Lists with an entry for every row (file, line, station, ...), in the order of the fields of this class."""
         names = (self.station, self.target)
         return (self.file, self.line, *names, self.face, self.date_and_time, self.round_label, self.thousands_separator)
 
@@ -205,7 +205,7 @@ def distinct_with_indices(values: Iterable[ValueType]) -> tuple[list[ValueType],
 
 @dataclass
 class PointingTable:
-    """Pointings and columns of a file or folder, with what readers determined about them."""
+    """Pointings and columns of a file or folder, with ignored lines, units of cells and notes for the user."""
 
     columns: list[TableColumn]
     pointings: UnconvertedPointings = field(default_factory=UnconvertedPointings)
@@ -221,7 +221,7 @@ class PointingTable:
     """Name of the survey mark under a set-up, by name of the set-up, if both names differ."""
     notes: list[str] = field(default_factory=list)
     cell_units: dict[str, str] = field(default_factory=dict)
-    """Unit of the symbols in the cells of a column, by title of the column."""
+    """Unit that symbols after the numbers in the cells of a column denote, by title of the column."""
 
     def column_with_role(self, kind: Sequence[str]) -> TableColumn | None:
         """First column whose role (content, such as `azimuth`) is in `kind`; None if there is no such column."""
@@ -247,7 +247,7 @@ class PointingTable:
             for table_columns in (self.columns, columns)
         )
         if earlier_columns and earlier_columns != new_columns:
-            message = "the columns differ from those of earlier headers, expected the same roles and units"
+            message = "the columns differ from those of earlier headers, expected the same contents and units"
             raise SourceLocation(file, row).error(message)
         titles = {c.title for c in self.columns}
         self.columns += [c for c in columns if c.title not in titles]

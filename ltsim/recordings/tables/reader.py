@@ -271,7 +271,7 @@ def _unit_reason(role: str, unit: str, interpretation: TableConventions) -> str:
 def _covariate_values(
     column: TableColumn, pointings: UnconvertedPointings, interpretation: TableConventions
 ) -> tuple[Floats, str] | None:
-    """Numbers (n,) in the cells of a column, in the unit of its role, and unit of the cells; None for texts.
+    """Numbers (n,) in the cells of a column, in the unit of its role, and unit of the cells; None if a cell has a text.
 
     The number of an empty cell is NaN.
     """
@@ -334,11 +334,11 @@ def total_station_reason(table: PointingTable, interpretation: TableConventions,
         return ""
     ranges = readings[:, 0][np.isfinite(readings[:, 0])]
     if table.column_with_role(("flat",)) is not None:
-        return "it contains horizontal distances"
+        return "the table contains horizontal distances"
     if not len(ranges):
         return ""
     if ranges.max() > MAX_TRACKER_RANGE_M:
-        return f"its longest range is {ranges.max():.4g} m, beyond any laser tracker"
+        return f"the longest range is {ranges.max():.4g} m, beyond any laser tracker"
     columns = [digits for role, digits in table.pointings.digit_texts_by_role.items() if role in DISTANCE_ROLES]
     n_decimals = np.concatenate([decimal_places(digits[digits != b""]) for digits in columns])
     if len(n_decimals) < MIN_RANGES_FOR_RESOLUTION:
@@ -351,7 +351,7 @@ def total_station_reason(table: PointingTable, interpretation: TableConventions,
         ),
     )
     if digit > MIN_LAST_DIGIT_OF_TOTAL_STATION_M:
-        return f"its ranges are written to {1e3 * digit:.2g} mm"
+        return f"the ranges are written to {1e3 * digit:.2g} mm"
     if table.column_with_role(("instrument_height_mm",)) is not None and digit > MIN_LAST_DIGIT_OF_TOTAL_STATION_M / 10:
-        return f"its ranges are written to {1e3 * digit:.2g} mm, with heights over marks"
+        return f"the ranges are written to {1e3 * digit:.2g} mm, with heights over marks"
     return ""

@@ -64,7 +64,7 @@ class RowBatchReader:
     def read(self, row_batch: RowBatch) -> UnconvertedPointings:
         """Pointings in the rows of a batch; a row that names no station has the station given in `row_batch`.
 
-        Raises RecordError for an invalid cell; in a batch of several rows it may not be the first one.
+        Raises RecordError for an invalid cell; among several invalid cells, the error may name another than the first.
         """
         width = len(self.columns)
         padded_rows = [fields if len(fields) == width else pad_cells(fields, width) for fields in row_batch.fields]

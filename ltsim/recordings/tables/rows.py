@@ -83,7 +83,7 @@ def read_pointing_table(
 
 
 def parse_header(row: SheetRow, hints: Hints, file: object = None) -> list[TableColumn] | None:
-    """Columns with the cells of `row` as titles; None if the row is not a header."""
+    """Columns with titles from `row`, and contents from title or `hints.columns`; None if the row is not a header."""
     if hints.columns is not None:
         return mapped_columns(row.fields, hints.columns, file) if any(row.fields) else None
     if count_recognised_titles(row.fields) < MIN_HEADER_TITLES or any(map(cells.is_numeric, row.fields)):
@@ -100,8 +100,8 @@ def _header_at(sheet: TableSheet, row: int | None, hints: Hints) -> list[TableCo
 def find_header(sheet: TableSheet, hints: Hints) -> int | None:
     """Index of the first row that is a header; None if there is none.
 
-    If `hints.columns` assigns numbered columns of a table without header, the result is the index of the first row
-    minus 1.
+    If `hints.columns` assigns contents to numbered columns of a table without header, the header counts as the row
+    before the first row: the result is the index of the first row minus 1.
     """
     if hints.columns is not None and sheet.rows:
         assignments = parse_assignments(hints.columns, sheet.file)
@@ -174,7 +174,7 @@ class _SheetReader:
         self.station_position = next((c.position for c in columns if c.role == "station"), None)
 
     def _read_rows(self, sheet_rows: Sequence[SheetRow], *, reads_all: bool = False) -> PointingTable:
-        """Pointings in these rows; with `reads_all` every row that is not a comment is taken as a pointing."""
+        """Pointings in `sheet_rows`; with `reads_all` every row that is not a comment is taken as a pointing."""
         last_index = len(sheet_rows) - 1
         for i, row in enumerate(sheet_rows):
             measured = (reads_all and not row.is_comment) or self._is_measured(row)

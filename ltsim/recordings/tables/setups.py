@@ -67,7 +67,7 @@ OccupationKey = tuple[str, ...]
 def common_target_names(pointings: UnconvertedPointings) -> tuple[list[str], list[str]]:
     """Name of the target of each pointing, equal for all set-ups, and notes on changed names.
 
-    If all targets have names that contain the name of their set-up, it is removed, provided that set-ups then have
+    If the names of all targets contain the name of their set-up, this part is removed, provided that set-ups then have
     common targets. Names that differ only in case, blanks or leading zeros become one name, if no set-up uses both.
     """
     sightings, row = distinct_with_indices(zip(pointings.station, pointings.target, strict=True))
@@ -165,8 +165,8 @@ def split_occupations(
     Without a column of rounds, the directions of an instrument with a horizontal circle (`has_circle`) show rotations
     of the circle.
 
-    The results are names of set-ups and notes. Each named set-up shares an occupation, and thus its position, with
-    another.
+    The results are the names of those set-ups that share an occupation, and thus the position, with another set-up, and
+    notes.
     """
     pointings = table.pointings
     occupations: Sequence[OccupationKey]
@@ -326,7 +326,8 @@ def with_setups_over_marks(
 def _reciprocal_lines_agree(table: PointingTable, readings: Floats) -> bool:
     """True if lines measured in both directions agree in length and, if elevations were measured, in height.
 
-    The median misclosure decides. Heights above survey marks are not applied; the curvature of the earth is.
+    The median misclosure decides. It takes account of the curvature of the earth, but not of heights above survey
+    marks.
     """
     lengths = readings[:, 0] * np.cos(np.nan_to_num(readings[:, 2]))
     rises = readings[:, 0] * np.sin(readings[:, 2]) + lengths**2 / (2.0 * EARTH_RADIUS)

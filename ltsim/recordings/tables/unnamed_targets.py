@@ -15,8 +15,9 @@ from ltsim.recordings.spreadsheets.cells import is_numeric
 from ltsim.recordings.tables.pointing_table import PointingTable, UnconvertedPointings, distinct_with_indices
 
 MAX_SAME_POSITION_DISTANCE_TO_RANGE = 3e-4
-"""Largest distance between measured points of one position, divided by the largest range: 1 mm at 3 m, which is more
-than the repeatability of a robot."""
+"""Largest distance of measured points that count as one position, divided by the largest range: 1 mm at 3 m, which is
+more than the repeatability of a robot.
+"""
 MIN_ROWS_OF_MOVING_TARGET = 3
 """Smallest number of rows, and of different positions, with one target name that show a moving target."""
 MAX_COINCIDENT_DISTANCE_M = 1e-3

@@ -77,7 +77,8 @@ class MovableLayout:
     scenario: Scenario
     """Scenario with the initial stations."""
     search_space: SearchSpace
-    """Permitted positions of stations, and lines of sight; its `survey` has the faces and rounds of the scenario."""
+    """Permitted positions of stations, and lines of sight; the `survey` in it has the faces and rounds of the
+    scenario."""
     construction: GeometricErrorModel
     """Geometric error model of the instruments."""
     tolerances: PointTolerances
@@ -130,7 +131,7 @@ class MovableLayout:
     def _offered_positions(self) -> Floats:
         """Positions (P, 3) [m] that the page offers for another station, at most `MAX_OFFERED_POSITIONS`.
 
-        These are P grid positions with enough visible targets.
+        The P positions are points of a grid on the floor from which enough targets are visible.
         """
         search = self.plan_file.search
         places = self.search_space.grid_station_positions(
@@ -177,7 +178,10 @@ class MovableLayout:
         )
 
     def _search_space_for_survey(self, survey: PlannedSurvey) -> SearchSpace:
-        """Search space of the plan for a survey with any number of stations."""
+        """Search space (permitted positions and rules) of the plan for the stations of `survey`.
+
+        `survey` may have more or fewer stations than the plan.
+        """
         min_stations = self.plan_file.stations.min_stations_per_target
         return self.search_space.replace(
             survey=survey,
@@ -185,7 +189,10 @@ class MovableLayout:
         )
 
     def evaluation_json(self, stations: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-        """Evaluation of a layout for the page: visible sights, uncertainty of each point, and broken rules."""
+        """Evaluation of a layout for the page: visible sights, uncertainty of each point, and broken rules.
+
+        The stations are mappings with `name`, `position_mm` and `yaw_deg`.
+        """
         survey = self.survey_with_stations(stations)
         search_space, broken_position_rules = (
             self._search_space_for_survey(survey),
@@ -223,7 +230,10 @@ class MovableLayout:
         return evaluation | {"points": points, "rms_um": information.target_rms / MICROMETRE}
 
     def verdict_json(self, stations: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
-        """Verdict on rules and tolerances, also after the loss of a station or sight; None without tolerances."""
+        """Verdict on rules and tolerances, also after the loss of a station or sight; None without tolerances.
+
+        The stations are mappings with `name`, `position_mm` and `yaw_deg`.
+        """
         survey = self.survey_with_stations(stations)
         if not self.tolerances or _station_coincides_with_target(survey):
             return None
@@ -235,11 +245,14 @@ class MovableLayout:
         return {"reached": verdict.is_goal_reached, "words": verdict.sentences}
 
     def scenario_with_stations(self, stations: Sequence[Mapping[str, Any]]) -> Scenario:
-        """Scenario of the plan with the given stations."""
+        """Scenario of the plan with the given stations (mappings with `name`, `position_mm` and `yaw_deg`)."""
         return scenario_with_layout(self.scenario, self.survey_with_stations(stations))
 
     def scene_page_with_stations(self, stations: Sequence[Mapping[str, Any]], camera: Camera | None = None) -> str:
-        """HTML page of the hall in 3D with the given stations, seen from `camera` if it is given."""
+        """HTML page of the hall in 3D with the given stations, seen from `camera` if it is given.
+
+        The stations are mappings with `name`, `position_mm` and `yaw_deg`.
+        """
         return scene_page(workshop_from_scenario(self.scenario_with_stations(stations)), camera)
 
     def save(self, stations: Sequence[Mapping[str, Any]], folder: Path) -> list[Path]:

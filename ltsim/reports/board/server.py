@@ -40,8 +40,8 @@ MAX_BODY_BYTES = 1 << 20
 MAX_HEADER_BYTES = 1 << 16
 """Largest size of the request line and the headers of a request together [byte]; browsers send 1 to 10 kB."""
 MAX_CONNECTIONS = 32
-"""Largest number of simultaneous connections; a browser opens six. A further one replaces the oldest of those that have
-not sent headers with the token yet, and is closed if there is none."""
+"""Largest number of simultaneous connections; a browser opens six. A further connection replaces the oldest connection
+that has not yet sent headers with the secret token; if there is none, the further connection is closed."""
 REPLACEMENT_TIMEOUT_S = 1.0
 """Longest time [s] that a new connection waits until the connection that it replaces has ended."""
 REQUEST_TIMEOUT_S = 10.0
@@ -101,7 +101,7 @@ class HttpResponse(NamedTuple):
 
 
 MISSING_PAGE_RESPONSE = HttpResponse(HTTPStatus.NOT_FOUND)
-"""Response to a request whose path lacks the token, or has an unknown name."""
+"""Response to a request whose path lacks the secret token of the page, or has an unknown name."""
 
 
 class PlannerRequests:
@@ -129,7 +129,7 @@ class PlannerRequests:
         return text.replace("POLICY", policy, 1).replace("PALETTE", palette, 1).replace("HALL", hall, 1)
 
     def has_token(self, path: str) -> bool:
-        """True if a path begins with the token."""
+        """True if the path of a request begins with the secret token of the page."""
         return secrets.compare_digest(path.removeprefix("/").partition("/")[0].encode(), self.token.encode())
 
     def respond(self, method: str, path: str, request_body: bytes) -> HttpResponse:
@@ -161,7 +161,7 @@ class _RequestStream(BufferedIOBase):
         self._stream, self._n_free = stream, MAX_HEADER_BYTES
 
     def readline(self, size: int | None = -1) -> bytes:
-        """Next line of the request; raises LineTooLong beyond the limit."""
+        """Next line of the request; raises LineTooLong if more than `MAX_HEADER_BYTES` were read."""
         line: bytes = self._stream.readline(self._n_free + 1)
         self._n_free -= len(line)
         if self._n_free < 0:
@@ -290,7 +290,8 @@ class _LimitedServer(ThreadingHTTPServer):
     def __init__(self, address: tuple[str, int], handler: type[_RequestHandler]) -> None:
         self._free_connections = threading.BoundedSemaphore(MAX_CONNECTIONS)
         self._replaceable: dict[Any, None] = {}
-        """Connections that have not sent headers with the token, the oldest first."""
+        """Connections that have not yet sent headers with the secret token, the oldest first; a new connection may
+        replace them."""
         super().__init__(address, handler)
 
     def process_request(self, request: socket.socket | tuple[bytes, socket.socket], client_address: Any) -> None:
@@ -302,7 +303,7 @@ class _LimitedServer(ThreadingHTTPServer):
             self.shutdown_request(request)
 
     def _end_oldest_connection(self) -> bool:
-        """True if the oldest connection without the token was ended, so that a new connection can take its place."""
+        """True if the oldest connection without the secret token was ended, so that a new one can take its place."""
         oldest = next(iter([*self._replaceable]), None)
         if oldest is None:
             return False
@@ -312,7 +313,7 @@ class _LimitedServer(ThreadingHTTPServer):
         return self._free_connections.acquire(timeout=REPLACEMENT_TIMEOUT_S)
 
     def exclude_from_replacement(self, request: Any) -> None:
-        """Exclude a connection from replacement, since it has sent the token or has ended."""
+        """Exclude a connection from replacement by new ones, since it has sent the secret token or has ended."""
         self._replaceable.pop(request, None)
 
     def process_request_thread(self, request: socket.socket | tuple[bytes, socket.socket], client_address: Any) -> None:

@@ -30,9 +30,9 @@ MAX_PANEL_LINES = 8
 Y_LABEL_LINE_LENGTH_PER_PANEL_ROW = 26
 """Width [characters] at which the label of the y axis is broken, for each row of panels in the figure."""
 CENTRAL_90_PERCENT_LABEL = "90 % of trials"
-"""Label of the band between the 5 % and 95 % quantiles of the trials."""
+"""Label, in figures, of the band between the 5 % and 95 % quantiles of the trials."""
 NOISE_FLOOR_LABEL = "noise floor"
-"""Label of the error of readings that are corrected with the true parameters, so that only noise remains."""
+"""Label, in figures, of the error of readings corrected with the true parameters, so that only noise remains."""
 PUBLISHED_CRITERIA_BY_SCENARIO = MappingProxyType(
     {
         "paper-workshop": {
@@ -49,7 +49,7 @@ PUBLISHED_CRITERIA_BY_SCENARIO = MappingProxyType(
         },
     }
 )  # fmt: skip
-"""Published criteria by scenario and column: tables 3 and 4 of Sensors 2021, 21, 7479."""
+"""Published disagreements of the stations, by scenario and result column: tables 3 and 4 of Sensors 2021, 21, 7479."""
 
 
 @dataclass(frozen=True)
@@ -137,8 +137,8 @@ def sweep_points(
 def sweep_figure(results: CampaignResults, statistic: str, along: str, *, panel: str = "", **levels: Any) -> Figure:
     """Figure of the means of a result column along a factor, one line per method; used by `CampaignResults.plot`."""
     if not along:
-        names = " or ".join(f.name for f in results.factors) or "none, because no setting varies"
-        raise ModelError(f"along is empty; give a factor of the campaign: {names}")
+        names = " or ".join(f.name for f in results.factors)
+        raise ModelError(f"along is empty; give a factor of the campaign: {names}" if names else "no factor varies")
     axis = factor_axis_title(next((f for f in results.factors if f.name == along), Factor(name=along, keys=())))
     unit = results.units.get(statistic, "")
     words = statistic.removesuffix("_percent").removesuffix("_um").replace("_", " ")
@@ -215,7 +215,7 @@ def _axis_positions(line_points: Sequence[SweepPoint], level_texts: Sequence[str
 
 
 def _draw_line(ax: Axes, points: Sequence[SweepPoint], positions: Floats, line_number: int, *, is_joined: bool) -> None:
-    """Draw a line of means with intervals and band at `positions` on the x axis; `line_number` selects the colour."""
+    """Draw means with intervals and band at `positions` on the x axis, joined by a line if `is_joined`."""
     if not points:
         return
     order = np.argsort(positions, kind="stable")
@@ -359,7 +359,7 @@ def _draw_distribution(ax: Axes, sample: TrialDistribution) -> None:
 
 
 ALLOWED_COVERAGE = (0.935, 0.965)
-"""Lowest and highest allowed coverage of 95 % intervals, by convention; a parameter outside this band is drawn red."""
+"""Lowest and highest allowed coverage of 95 % intervals, by convention; significantly different ones are drawn red."""
 
 
 def coverage_interval(row: ZScoreSummary) -> tuple[float, float]:
@@ -371,7 +371,7 @@ def coverage_interval(row: ZScoreSummary) -> tuple[float, float]:
 
 
 def is_coverage_outside_band(summaries: Sequence[ZScoreSummary]) -> list[bool]:
-    """Flags (parameters): True if the 95 % interval of the observed coverage lies outside the allowed band."""
+    """Flags (one per parameter): True if the 95 % interval of the observed coverage lies outside `ALLOWED_COVERAGE`."""
     return [high < ALLOWED_COVERAGE[0] or low > ALLOWED_COVERAGE[1] for low, high in map(coverage_interval, summaries)]
 
 

@@ -64,8 +64,8 @@ def statistic_figures(
     """Captions of the figures of a result column, each with the function that draws the figure.
 
     A figure has lines over a factor if the cells (combinations of factor levels) form a grid. It has dots over each
-    factor if they form a design, and otherwise one row per cell. `label` is the axis label of the column, and
-    `published_value` a value to compare with.
+    factor if the cells are points of a space-filling design, and otherwise one row per cell. `summaries` are the
+    statistics of the column, `label` is its axis label, and `published_value` a value to compare with.
     """
     factors = varying_factors(results)
     trials_sentence = f"{results.manifest.trials} trials for each combination of factor levels."

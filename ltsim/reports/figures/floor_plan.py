@@ -1,4 +1,4 @@
-"""Floor plan of a hall, seen from above like Figure 5 of the paper, with names of stations and targets."""
+"""Floor plan of a hall, seen from above like Figure 5 of Sensors 2021, 21, 7479, with names of stations and targets."""
 
 from collections import defaultdict
 from collections.abc import Callable, Sequence
@@ -19,7 +19,7 @@ from ltsim.reports.workshop_scene import WorkshopScene
 from ltsim.scene.floor import Floor, FloorArea, distance_to_outline
 
 MARKER_LABEL_DIRECTIONS = np.radians([0, 180, 90, 270])
-"""Directions [rad] from a marker for its label, in the order in which they are tried, from the preferred direction."""
+"""Directions [rad] from a marker to its label, relative to the preferred direction, in the order of the trials."""
 LABEL_DISTANCE_PT = 6.0
 """Distance [pt] from a marker to its label."""
 LETTER_SIZE_RATIOS = (0.62, 1.25)
@@ -42,7 +42,7 @@ class MapLabel:
     is_bold: bool = False
     colour: str = "#4A5056"
     preferred_direction: float = 0.0
-    """Direction [rad] from the marker in which the label is placed if there is space."""
+    """Direction [rad], counter-clockwise from the x axis, from the marker to its label if there is space there."""
     is_vertical: bool = False
     """True for a vertical label, which is read from the right."""
 
@@ -96,9 +96,9 @@ MAX_VECTOR_MARKERS = 150
 MAX_LISTED_STATIONS = 16
 """Largest number of stations whose coordinates are listed below a floor plan."""
 MIN_STACKED_TARGETS_OF_SHORT_LABEL = 4
-"""Smallest number of targets above each other with a short common label: a name and the number of others (`T1 +3`)."""
+"""Smallest number of targets above each other that share a short label: one name, number of the others (`T1 +3`)."""
 MAX_LABEL_SHARING_DISTANCE = 0.05
-"""Largest distance between targets that share a label, as a fraction of the size of the floor."""
+"""Largest horizontal distance between targets that share a label, as a fraction of the size of the floor."""
 FLOOR_PLAN_WIDTH_INCH = 4.3
 """Width of the axes of a floor plan [inch]."""
 FLOOR_PLAN_HEIGHT_RANGE_INCH = (3.6, 6.6)
@@ -237,8 +237,8 @@ def _draw_floor_areas(ax: Axes, floor: Floor) -> list[MapLabel]:
 def _axis_limits(workshop: WorkshopScene) -> Floats:
     """Limits of the axes of the floor plan, lower (x, y) and upper (x, y), shape (2, 2) [m].
 
-    They enclose the floor and, around each station, the circle on the floor that the tracker cannot see because of its
-    lowest elevation.
+    The limits enclose the floor and, around each station, the circle on the floor that the tracker cannot see because
+    of its lowest elevation.
     """
     radius = workshop.shadow_radii_on_floor(workshop.shadow_cone_openings[0])[:, None]
     places = np.concatenate(

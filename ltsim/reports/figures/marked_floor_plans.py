@@ -1,4 +1,4 @@
-"""Floor plans with markers: stations and targets of findings, and changes of reflectors."""
+"""Floor plans with markers: stations and targets of the findings of a diagnosis, and changes of reflectors."""
 
 from collections.abc import Mapping, Sequence
 from math import hypot

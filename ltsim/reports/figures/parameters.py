@@ -1,4 +1,4 @@
-"""Figures of parameters, correlations, calibration histories, criteria, uncertainty budgets, and plans."""
+"""Figures of parameters, correlations, calibration histories, disagreements of stations, uncertainty budgets, plans."""
 
 from __future__ import annotations
 
@@ -202,9 +202,10 @@ def parameter_history_figure(names: Sequence[str], parameter_histories: Sequence
 
 @style.with_figure_style
 def criteria_before_after_figure(criteria: Table) -> Figure:
-    """Figure of mean and largest value of each criterion of a table `CRITERIA_TABLE`, before and after calibration.
+    """Figure of the disagreement of the stations (mean and largest) before and after a calibration.
 
-    Arrows point from before to after.
+    `criteria` is a table `CRITERIA_TABLE` with the disagreements in distances and in coordinates. Arrows point from
+    before to after.
     """
     lines = []
     for row in criteria.json_rows():

@@ -244,10 +244,10 @@ def _draw_misfit_over_time(ax: Axes, check: Check) -> None:
 
 
 def _setup_model_as_measured(check: Check, setup: SetupCheck) -> SetupModel | None:
-    """Model of the readings of a set-up as they were measured; None if the check did not correct them.
+    """Model of the uncorrected readings of a set-up; None if the field check did not correct them.
 
-    A no-go because of an identified cause is decided on these readings, and the tests of the set-up on the corrected
-    ones.
+    A no-go because of an identified cause is decided on the uncorrected readings; the tests of the set-up are made on
+    readings corrected for this cause.
     """
     assert setup.setup_model is not None
     measured = check.arrays.recording.select(setup.row_numbers - 1)

@@ -1,4 +1,4 @@
-"""Figures of residuals by station and over covariates, and of findings."""
+"""Figures of residuals by station and over covariates, and of the findings of a diagnosis."""
 
 from typing import Any
 
@@ -86,7 +86,7 @@ def residuals_by_station_figure(residuals: Residuals, reference: Residuals | Non
 def finding_comparison_figure(
     without_finding: Residuals, with_finding: Residuals, covariate: str, scope: FindingScope
 ) -> Figure:
-    """Figure of residuals over a covariate, from the model without a finding (left) and with the finding (right).
+    """Figure of residuals over a covariate, from models without (left) and with (right) a finding of a diagnosis.
 
     Each row of panels shows one observable. `scope` contains the stations, targets and observables of the finding.
     Residuals at other stations and targets are pale dots.
@@ -142,7 +142,7 @@ def response_curve_figure(curve: ResponseCurve, response: str, residuals: Residu
     """Figure of the estimated curve of an observable or an instrument constant over its covariate, with the 95 % band.
 
     For an observable, the residuals of the model without the finding are drawn as dots behind the curve, and the curve
-    has the sign of a residual. `response` is the name of the observable or constant.
+    has the sign of a residual (observed minus adjusted). `response` is the name of the observable or constant.
     """
     at, value, sigma = (np.array(values) for values in (curve.at, curve.value, curve.sigma))
     covariate, unit = curve.covariate, curve.unit

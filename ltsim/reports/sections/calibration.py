@@ -72,7 +72,8 @@ if TYPE_CHECKING:
     from ltsim.reports.workshop_scene import DrawnSights, WorkshopScene
 
 MIN_REPORTED_CRITERION_CHANGE = 0.05
-"""Smallest change [%] of a criterion (mean disagreement of the stations) that is reported: half of the last digit."""
+"""Smallest relative change [%] of the mean disagreement of the stations that is reported: half of the last printed
+digit."""
 STATUSES_WITHOUT_WARNING = ("", "converged", "not stated")
 """Statuses of a fit for which the page has no warning."""
 
@@ -191,12 +192,12 @@ def _summary_sentence(content: Calibration, agreement_text: str, targets: Path |
 
 
 def _has_explaining_noise(content: Calibration) -> bool:
-    """True if larger noise than declared is the only cause of the misfit."""
+    """True if noise larger than declared is the only identified cause of the misfit of the readings."""
     return content.verdict.case == VerdictCase.LARGER_NOISE.value
 
 
 def _larger_noise_sentence(content: Calibration) -> str:
-    """Sentences on larger noise than declared; empty unless it is the only cause of the misfit."""
+    """Sentences on noise larger than declared; empty unless it is the only identified cause of the misfit."""
     if not _has_explaining_noise(content):
         return ""
     return "".join(f" {test.sentence}" for test in content.tests if test.kind == "noise-level" and test.is_fault)
@@ -212,7 +213,7 @@ def _fits_with_estimated_constants(content: Calibration) -> bool:
 
 
 def _global_tests_text(content: Calibration) -> str:
-    """Text on the global tests with and without estimated instrument constants; empty if they were not compared."""
+    """Text on the global tests with and without estimated instrument constants; empty if the two were not compared."""
     fit = content.fit_with_constants
     if fit is None:
         return ""
@@ -332,7 +333,7 @@ def _parameter_blocks(content: Calibration, truth: Truth | None) -> list[Block]:
 
 
 def _criteria_blocks(content: Calibration) -> list[TableBlock]:
-    """Blocks with the criteria before and after the calibration; empty without criteria."""
+    """Blocks with the disagreement of the stations before and after the calibration; empty if it is unknown."""
     if content.criteria is None:
         return []
     text = "Disagreement of the stations in distances between reflectors and in their coordinates."

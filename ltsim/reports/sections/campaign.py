@@ -66,12 +66,13 @@ MAX_OPEN_BLOCKS = 4
 MAX_CELL_ROWS = 48
 """Number of combinations of factor levels (cells) above which a table has a row per level of a factor, not per cell."""
 SUMMARY_IMPROVEMENT_COLUMN = "distance_improvement_percent"
-"""Result column whose mean the summary of a campaign reports: improvement of the distance criterion by calibration."""
+"""Result column whose mean the summary of a campaign reports: reduction by calibration [%] of the mean disagreement of
+the stations in distances between targets."""
 
 STATISTIC_TITLE_BY_COLUMN = MappingProxyType(
     {
-        "distance_improvement_percent": ("distance criterion, improvement", " [%]"),
-        "coordinate_improvement_percent": ("coordinate criterion, improvement", " [%]"),
+        "distance_improvement_percent": ("disagreement in distances, reduction", " [%]"),
+        "coordinate_improvement_percent": ("disagreement in coordinates, reduction", " [%]"),
         "share_removed": ("fraction of the correctable error removed", ""),
         "target_error_um": ("error of the targets", " [µm]"),
     }
@@ -154,14 +155,18 @@ def _summary_sentence(
         elif means:
             ends = dict.fromkeys(number_text(limit(s.mean for s in means)) for limit in (min, max))
             mean_texts.append(f"{method} by {' to '.join(ends)} %")
-    text = f"{trials_text}, calibration improves the distance criterion on average: {'; '.join(mean_texts)}."
+    text = f"{trials_text}, calibration reduces the disagreement of the stations in distances on average: "
+    text += f"{'; '.join(mean_texts)}."
     return (text if mean_texts else f"{trials_text} with {', '.join(manifest.methods)}.") + _extreme_cells_sentence(
         results, summaries
     )
 
 
 def _extreme_cells_sentence(results: CampaignResults, summaries: Mapping[str, list[StatisticSummary]]) -> str:
-    """Sentence on the combinations of factor levels (cells) with the smallest and the largest error of the targets."""
+    """Sentence on the combinations of factor levels (cells) with the smallest and the largest error of the targets.
+
+    `summaries` holds the statistics of each result column by its name.
+    """
     means = summaries.get("target_error_um", [])
     if len(results.manifest.cells) < 2 or not means:
         return ""
@@ -198,7 +203,7 @@ def _key_figures(
     if differences:
         facts.append(
             KeyFigure(
-                "batch solver against full solver",
+                "largest difference of batch solver and lt.calibrate",
                 f"{max(differences):.1e} sigma",
                 assessment_of(max(differences) < 1e-3),
             )
@@ -279,8 +284,8 @@ def campaign_figure(results: CampaignResults) -> Figure:
 def _trial_distributions(results: CampaignResults, published_values: Mapping[str, float]) -> list[TrialDistribution]:
     """Distributions over the trials of the first cell (combination of factor levels) and the first method.
 
-    They are those of the criteria, or without criteria those of other errors. `published_values` are values by column
-    to compare with.
+    The quantities are the disagreements of the stations, or, if a campaign does not have these, other errors.
+    `published_values` are values by column to compare with.
     """
     cell = results.manifest.cells[0].cell
     error_columns = [c for c in results.columns if c.endswith(("_um", "_percent"))]
@@ -300,7 +305,7 @@ def _trial_distributions(results: CampaignResults, published_values: Mapping[str
 
 
 def _distribution_figures(results: CampaignResults, published_values: Mapping[str, float]) -> list[Block]:
-    """Histograms of the criteria of the first method, if there is only one combination of factor levels (cell).
+    """Histograms of the disagreement of the stations for the first method; empty for several combinations of levels.
 
     `published_values` are values by column to compare with.
     """
@@ -360,7 +365,8 @@ def _statistic_tables(
     )
     definitions = [f"{_column_label(c)} [{results.units.get(c, '')}]: {_column_meaning(c)}" for c in summaries]
     note = (
-        "Verified trials were repeated with the full solver; the difference is between the estimates of both solvers."
+        "Verified trials were calibrated again one by one with lt.calibrate (full solver); the difference is between "
+        "the estimates of both solvers."
     )
     failed = frozenset(i for i, comparison in enumerate(comparisons) if comparison.failed_trials)
     convergence_table = results.table("solver_comparisons")

@@ -15,8 +15,8 @@ from ltsim.reports.figures.campaign_factors import cell_descriptions
 MAX_COVERAGE_FIGURES = 3
 """Largest number of figures of the coverage of intervals, one per method."""
 NOISE_ERROR_PRIOR_FACTOR_KEYS = ("noise_factor", "error_factor", "prior_factor")
-"""Keys of an instrument in a scenario with factors on its noise, its errors or its prior. A factor other than 1 makes
-them differ from the declared ones."""
+"""Keys of the tracker's table in a scenario with factors on its noise, true errors or declared prior. With a factor
+other than 1 the recording declares wrong noise or a wrong prior."""
 
 
 def coverage_key_figures(manifest: ManifestFile, z_scores: Sequence[ZScoreSummary]) -> list[KeyFigure]:
@@ -41,7 +41,7 @@ def coverage_key_figures(manifest: ManifestFile, z_scores: Sequence[ZScoreSummar
 
 
 def coverage_blocks(results: CampaignResults, z_scores: Sequence[ZScoreSummary]) -> list[Block]:
-    """Figures of the coverage of intervals in the first cell of each method, and table of all z-scores.
+    """Figures of the coverage of intervals by calibration method, in the first cell, and table of all z-scores.
 
     A cell is a combination of factor levels.
     """

@@ -167,14 +167,14 @@ def _next_actions(content: Diagnosis) -> list[str]:
 
 
 def _has_probable_alternative(finding: Finding) -> bool:
-    """True if an alternative effect of the catalogue is probable enough to advise a measurement that excludes it."""
+    """True if another effect may explain the finding and is probable enough to advise a measurement to exclude it."""
     return any(
         e.effect != "unknown" and e.probability >= MIN_ADVISED_ALTERNATIVE_PROBABILITY for e in finding.equivalents
     )
 
 
 def _key_figures(content: Diagnosis) -> list[KeyFigure]:
-    """Key figures of a diagnosis; labels of tests of corrected readings name the findings that were corrected."""
+    """Key figures of a diagnosis; the label of a test names the findings for which its readings were corrected."""
     test, corrected = content.global_test, _corrected_findings_text(content)
     after_text = f" after the correction of {corrected}" if corrected else ""
     p_value = test.p_value if test.dof > 0 else None
@@ -232,8 +232,8 @@ def _finding_blocks(
 ) -> list[Block]:
     """Blocks of a finding: sentence, figure, floor plan, table of estimates, evidence.
 
-    The sentence is omitted if the summary `summary` contains it. `adjustments` are those without and with instrument
-    parameters, from which the floor plan is drawn.
+    The sentence is omitted if `summary` (summary of the page) contains it. `adjustments` are those without and with
+    instrument parameters, from which the floor plan is drawn.
     """
     name = finding_title(finding)
     sentence = finding.sentence or f"{name} {_finding_scope_text(finding.where)}"
@@ -278,7 +278,7 @@ def finding_figure(
 ) -> Callable[[], Figure] | None:
     """Function that draws a finding: the estimated curve over its covariate, or residuals without and with the finding.
 
-    It is None for blunders such as gross errors and exchanged names, which neither set of residuals contains.
+    The result is None for blunders such as gross errors and exchanged names, which neither set of residuals contains.
     """
     curve = finding.curve
     if curve is not None and len(curve.at) >= MIN_CURVE_POINTS:
@@ -338,7 +338,7 @@ def _finding_place_blocks(
 
 
 def _finding_scope_text(scope: FindingScope) -> str:
-    """Text of the observables, instruments, stations, targets and covariates on which a finding acts."""
+    """Text of the observables, instruments, stations and targets on which a finding acts, and of its covariates."""
     place_texts = [
         f"{word} {names_text(list(names))}"
         for word, names in (

@@ -21,7 +21,8 @@ MAX_CAUSES_IN_ANSWER = 2
 def diagnosis_answer(content: Diagnosis, next_actions: Sequence[str]) -> str:
     """Answer of a diagnosis in a few short sentences: verdict, places and causes with probabilities, next action.
 
-    Without findings it is the summary. `next_actions` are the next actions of the diagnosis, the most urgent first.
+    Without findings the answer is the summary of the diagnosis. `next_actions` are the next actions of the diagnosis,
+    the most urgent first.
     """
     if not content.findings:
         return capitalised_sentence(content.summary)
@@ -40,9 +41,9 @@ def diagnosis_answer(content: Diagnosis, next_actions: Sequence[str]) -> str:
 
 
 def parameter_meanings_note(finding: Finding) -> str:
-    """Note on the meaning of the parameters of a finding, which states what a positive value means; or empty.
+    """Note on what a positive value of each parameter of a finding means; empty if no parameter has such a meaning.
 
-    A law outside the catalogue has no such note.
+    This is the case for an effect that only a formula describes, such as ``azimuth ~ time``.
     """
     if not finding.is_catalogued:
         return ""

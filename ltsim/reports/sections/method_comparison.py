@@ -1,4 +1,4 @@
-"""Comparison of the methods of a campaign on the same random draws: sentence and table of paired differences."""
+"""Comparison of the calibration methods of a campaign on the same random draws: sentence and paired differences."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ per method."""
 
 @dataclass(frozen=True)
 class MethodComparison:
-    """Comparison of methods by paired differences of errors: each other method minus the best method.
+    """Comparison of calibration methods by paired differences of errors: each other method minus the best method.
 
     The best method has the smallest mean error.
     """
 
     statistic: str
-    """Column of the error by which methods are compared."""
+    """Name of the result column with the error by which methods are compared."""
     best_method: str
-    """Method with the smallest mean error over all cells (combinations of factor levels)."""
+    """Calibration method with the smallest mean error over all cells (combinations of factor levels)."""
     cell_texts: tuple[str, ...]
     """Description of each combination of factor levels (cell)."""
     differences_by_method: Mapping[str, Sequence[PairedDifference]]
@@ -48,7 +48,7 @@ class MethodComparison:
     def from_results(
         cls, results: CampaignResults, summaries: Mapping[str, list[StatisticSummary]]
     ) -> MethodComparison | None:
-        """Comparison of the methods of a campaign; None for one method, too many cells, or results without an error.
+        """Comparison of the methods of a campaign; None for one method, too many cells, or without an error column.
 
         A cell is a combination of factor levels.
         """
@@ -102,8 +102,8 @@ class MethodComparison:
 def _difference_text(method: str, differences: Sequence[PairedDifference]) -> str:
     """Text on the combinations of factor levels in which the best method differs significantly from another method.
 
-    It gives the range of the significant differences of each sign, and the number of combinations without a significant
-    difference.
+    The text contains the range of the significant differences of each sign, and the number of combinations without a
+    significant difference.
     """
     smaller = [entry.difference for entry in differences if entry.low > 0]
     larger = [-entry.difference for entry in differences if entry.high < 0]

@@ -80,7 +80,7 @@ def networks_without_and_with_parameters(recording: Recording) -> tuple[Identifi
 def adjustments_without_and_with_parameters(recording: Recording | None) -> AdjustmentsWithoutAndWithParameters | None:
     """Adjustments without and with the instrument's parameters; None without a recording that can be adjusted.
 
-    The identified causes of a misfit are in the models only if no network can be adjusted without them.
+    The models contain the identified causes of a misfit only if the network cannot be adjusted without them.
     """
     if recording is None:
         return None
@@ -154,8 +154,8 @@ def workshop_blocks(make_scene: Callable[[], WorkshopScene], hall_view: HallView
 def scene_block(workshop: WorkshopScene) -> SceneBlock | NoteBlock:
     """3D view of a hall with its interactive page.
 
-    It is replaced by a note if the packages for 3D views are missing. The same applies to more than
-    `MAX_NETWORK_SETUPS` stations, because stations are drawn one by one.
+    The result is a note if the packages for 3D views are missing, or if there are more than `MAX_NETWORK_SETUPS`
+    stations, because stations are drawn one by one.
     """
     if len(workshop.stations) > MAX_NETWORK_SETUPS:
         n_stations = len(workshop.stations)
@@ -180,7 +180,10 @@ def scene_block(workshop: WorkshopScene) -> SceneBlock | NoteBlock:
 def undetermined_combination_tables(
     title: str, undetermined_entries: Sequence[UndeterminedEntry], *, note: str = ""
 ) -> list[TableBlock]:
-    """Table of undetermined combinations of parameters, with the measurement that determines each of them."""
+    """Table of undetermined combinations of parameters, with the measurement that determines each of them.
+
+    `title` is the title of the table, and `note` a text below it.
+    """
     table_rows = [
         [entry.text, entry.cure, None if entry.gain is None else 100 * entry.gain] for entry in undetermined_entries
     ]
@@ -215,9 +218,10 @@ def coordinates_tables(
     note: str,
     is_foldable: bool = True,
 ) -> list[TableBlock]:
-    """Table of points with their names, coordinates [mm] and standard deviations [mm], shown as expanded uncertainties.
+    """Table of points (`entries`: name, coordinates [mm], standard deviations [mm]) with expanded uncertainties.
 
-    A coordinate with the standard deviation 0 defines the frame: a dash stands for its uncertainty.
+    A coordinate with the standard deviation 0 defines the frame: a dash stands for its uncertainty. `title` and `note`
+    are texts above and below the table. With `is_foldable` the page shows only the title of a long table.
     """
     expanded_uncertainty_um = [
         [None if value is None or value == 0 else 2e3 * value for value in sigma] for *_, sigma in entries

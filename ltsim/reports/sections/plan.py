@@ -121,7 +121,7 @@ def _quality_measures(layout: PlannedLayoutEntry) -> dict[str, float]:
 def _layout_pictures(content: Plan, scenario: Scenario | None, *, has_3d_view: bool) -> tuple[list[Block], list[Block]]:
     """Two lists of blocks: floor plan and 3D view of a plan, and floor plan with the proposed changes of reflectors.
 
-    Both are empty without a scenario.
+    Both lists are empty without a scenario.
     """
     if scenario is None:
         return [], []

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 EntryBetweenCalibrationsT = TypeVar("EntryBetweenCalibrationsT", ChangeEntry, EventEntry)
-"""Type variable of an entry of a history that names two calibrations."""
+"""Type variable of an entry (change or event between two calibrations) of the history of an instrument."""
 MIN_GOOD_PASS_PROBABILITY = 0.5
 """Smallest probability (0 to 1) to pass all tests at which a prediction is assessed as good; by convention one half."""
 ASSESSMENT_BY_JUDGEMENT: dict[Judgement, Assessment] = {"accepted": "good", "rejected": "bad", "undecided": "caution"}
@@ -69,7 +69,7 @@ UNDETECTABLE_NOTE = (
 MAX_BUDGET_BARS = 40
 """Largest number of results in a figure of uncertainty budgets; only the first results are drawn."""
 MAX_LISTED_TESTS = 200
-"""Largest number of acceptance tests in a table; those that are least likely to pass are listed."""
+"""Largest number of acceptance tests in a table; if there are more, the tests nearest to their limits are listed."""
 
 
 def check_section(content: Check, context: SectionContext) -> Section:
@@ -369,7 +369,7 @@ def _with_short_labels(content: History) -> History:
 
 
 def _change_summary_sentence(content: History, knows_usual_changes: bool) -> str:
-    """End of the summary of a history: events, or changes since the first calibration.
+    """Last part of the summary sentence of a history: events, or changes since the first calibration.
 
     `knows_usual_changes` is True if there are enough calibrations to compare with the usual changes of the instrument.
     """

@@ -31,7 +31,7 @@ INJECTED_EFFECTS_TABLE = Table(
         quantity="effect, its place, or a parameter", injected="true value", diagnosed="estimate +- one sigma"
     ),
 )
-"""Columns of the table of injected effects and findings."""
+"""Table of the injected effects of a simulated recording, and of the findings of its diagnosis."""
 
 
 def effect_place_text(effect: Any) -> str:

@@ -89,7 +89,7 @@ def test_what_ships_is_found_without_looking_for_packages() -> None:
         (made("Cold"), "lower-case words"),
         (made("cold", parameters=()), "lacks a light_path_stage or parameters"),
         (made("cold", base_rate=0.0), "its base_rate is 0.0, expected a positive number"),
-        (made("cold", parameters=(Parameter("c", "furlong", "", 1.0),)), "the unit 'furlong' of c is none of um, mm"),
+        (made("cold", parameters=(Parameter("c", "furlong", "", 1.0),)), "unit 'furlong' of c is not one of um, mm"),
         (made("cold", CARD.replace("Validity: in winter.\n", "")), "the sections Size, Similar to"),
         (type("Cold", (Effect,), {"name": "cold"}), "its class lacks design"),
     ],

@@ -207,7 +207,7 @@ def test_examples_are_read(recording: Recording) -> None:
         ("exp(-time / 0 min)", "above zero"),
         ("step(hall_temperature_c above 20 s)", "hall_temperature_c without a unit"),
         ("a wave in time, 3 periods a turn", "expected a text such as"),
-        ("face times pressure", "'pressure' is not a regressor"),
+        ("face times pressure", "'pressure' is not a function of covariates"),
     ],
 )
 def test_what_is_not_understood_is_answered_with_what_is(recording: Recording, words: str, said: str) -> None:
