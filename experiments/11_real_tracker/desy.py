@@ -7,7 +7,7 @@ import pandas as pd
 
 from experiments.common import RECORDINGS
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.adjustment.fieldcheck.occupation import TwoFacePairs
+from ltsim.adjustment.fieldcheck.setup_model import TwoFacePairs
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.units import GON, MILLIMETRE
 from ltsim.geometry.polar import from_polar

@@ -14,7 +14,7 @@ import pandas as pd
 
 from experiments.common import Made, Options, run_steps, show_table, write_figure
 from ltsim.adjustment import adjust
-from ltsim.adjustment.fieldcheck.occupation import two_face_pairs
+from ltsim.adjustment.fieldcheck.setup_model import two_face_pairs
 from ltsim.calibration.calibration_series import CalibrationSeries
 from ltsim.calibration.history import History
 from ltsim.calibration.network import calibrate_network
