@@ -47,6 +47,14 @@ cause."""
 PRIOR_PROBABILITY_BY_PLACE_KIND = {"everywhere": 0.5, "set-up": 0.2, "instrument": 0.1, "target": 0.1, "group": 0.1}
 """Prior probability of each kind of place (set-up, instrument, target and so on) where an empirical law (error as a
 function of covariates) acts."""
+PLACE_KIND_DESCRIPTIONS = {
+    "everywhere": "everywhere",
+    "set-up": "at a set-up",
+    "instrument": "on an instrument",
+    "target": "at a target",
+    "group": "at a group of targets",
+}
+"""Descriptions of the kinds of places."""
 PRIOR_PROBABILITY_BY_RESPONSE_KIND = {
     "reading": 0.5,
     "instrument": 0.17,
@@ -108,6 +116,6 @@ def prior_table_rows() -> Iterator[tuple[str, float]]:
             yield CAUSE_KIND_DESCRIPTIONS[kind], part
             continue
         yield from (
-            (f"{CAUSE_KIND_DESCRIPTIONS[kind]}: {where}", part * share)
+            (f"{CAUSE_KIND_DESCRIPTIONS[kind]} that acts {PLACE_KIND_DESCRIPTIONS[where]}", part * share)
             for where, share in PRIOR_PROBABILITY_BY_PLACE_KIND.items()
         )

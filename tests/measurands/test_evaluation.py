@@ -303,7 +303,7 @@ def test_results_against_themselves_differ_by_nothing() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"task": [{"name": "a", "kind": "distance", "targets": ["T01"]}]}, "name 2 targets"),
+        ({"task": [{"name": "a", "kind": "distance", "targets": ["T01"]}]}, "targets should be 2 names"),
         ({"task": [{"name": "a", "kind": "cone", "targets": ["T01"]}]}, "cone"),
         ({"type_b": [{"effect": "nonsense"}]}, "nonsense"),
         ({"type_b": [{"effect": "noise-level"}]}, "declare it as the instrument's noise"),
