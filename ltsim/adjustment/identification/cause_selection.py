@@ -54,6 +54,8 @@ MAX_MISCLOSURE_OF_USED_REFERENCE = 0.1
 may not converge with it."""
 
 
+RANGE_CONSTANT_ERROR_KINDS = ("constant-offset", "scale-error")
+"""Kinds of errors of distances that constants of an instrument cause: its range zero and the scale of its ranges."""
 DISPLACED_REFLECTOR_KINDS = ("reflector-seating", "target-moved")
 """Kinds of causes that displace the reflector at one target."""
 
@@ -157,15 +159,19 @@ class CauseSelection:
         return any(choice.hypothesis.kind == "unit" for choice in self.selected_hypotheses)
 
     @property
-    def is_range_zero_error(self) -> bool:
-        """True if the only cause is a constant on all distances of an instrument that its range zero may explain.
+    def is_range_constant_error(self) -> bool:
+        """True if the only cause is an error of all distances of an instrument that its constants may explain.
 
-        The limit is `MAX_TRACKER_ERROR`; a larger constant is that of another reflector.
+        The error is an offset (range zero) or a scale error. The limit of the displacement is `MAX_TRACKER_ERROR`; a
+        larger offset is that of another reflector, a larger scale error that of another unit.
         """
         hypotheses = [choice.hypothesis for choice in self.selected_hypotheses]
-        kinds = [(h.kind, h.acts_on, len(h.stations) == 1 or bool(h.targets)) for h in hypotheses]
-        is_constant = kinds == [("constant-offset", "distance", False)]
-        return is_constant and largest_displacement(self.fit, hypotheses[0]) < MAX_TRACKER_ERROR
+        if len(hypotheses) != 1 or hypotheses[0].acts_on != "distance":
+            return False
+        (only,) = hypotheses
+        is_everywhere = len(only.stations) != 1 and not only.targets
+        is_constant = only.kind in RANGE_CONSTANT_ERROR_KINDS and is_everywhere
+        return is_constant and largest_displacement(self.fit, only) < MAX_TRACKER_ERROR
 
     @property
     def certain_station_motions(self) -> tuple[FittedMotion, ...]:

@@ -163,9 +163,13 @@ OBSERVABLE_CAUSE_TEXTS = {
     ("constant-drift", "distance", "station"): "a drift of the range zero",
     ("constant-drift", "elevation", "station"): "a drift of the vertical index",
     ("constant-drift", "azimuth", "station"): "the horizontal circle or the tripod head turns",
-    ("scale-error", "distance", "station"): "a wrong atmospheric correction or unit at this set-up",
+    ("scale-error", "distance", "station"): "a wrong atmospheric correction or unit",
+    ("scale-error", "distance", "all stations"): (
+        "a wrong atmospheric correction or unit, or another temperature of the object with the reference values"
+    ),
 }
-"""Text on the usual cause of a shift of one observable, by kind of the error, observable, and `station` or `target`."""
+"""Text on the usual cause of a shift of one observable, by kind of the error, observable, and place: `station`,
+`target` or `all stations`; for `all stations` without text the text for `station` applies."""
 
 
 def _observable_sentence(fit: NetworkFit, hypothesis: CauseHypothesis, estimate: dict[str, Any]) -> str:
@@ -175,7 +179,10 @@ def _observable_sentence(fit: NetworkFit, hypothesis: CauseHypothesis, estimate:
     """
     place_names = ", ".join((*hypothesis.stations, *hypothesis.targets))
     place, link = ("target", "to") if hypothesis.targets else ("station", "from")
+    is_everywhere = not hypothesis.stations and not hypothesis.targets
     cause = OBSERVABLE_CAUSE_TEXTS[hypothesis.kind, hypothesis.acts_on, place]
+    if is_everywhere:
+        cause = OBSERVABLE_CAUSE_TEXTS.get((hypothesis.kind, hypothesis.acts_on, "all stations"), cause)
     what, number = f"The {hypothesis.acts_on}s {link} {place_names or 'all stations'}", estimate["estimate"]
     change_text, size_text = (with_sigma(x, estimate["sigma"], estimate["unit"]) for x in (number, abs(number)))
     if hypothesis.kind == "constant-step":
@@ -198,7 +205,7 @@ def _observable_sentence(fit: NetworkFit, hypothesis: CauseHypothesis, estimate:
         values, covariance = fit.estimate_and_covariance(hypothesis)
         cause = offset_cause_text(float(values[0]), float(np.sqrt(covariance[0, 0]))) or cause
     if hypothesis.kind == "scale-error":
-        cause += f" ({temperature_errors_text(number * PPM, is_of_distances=True)})"
+        cause += f" ({temperature_errors_text(number * PPM, is_of_distances=not is_everywhere)})"
     return f"{what} are {size_text} too {'long' if number > 0 else 'short'}: {cause}."
 
 

@@ -192,7 +192,9 @@ def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
             ]
             design = np.sum([0.0 * distance, *drifts], axis=0)
             yield ShiftFamily("constant-drift", observable, "instrument", design, drift_interval=interval)
-        yield ShiftFamily("scale-error", "distance", "station", distance * sightings.range_[:, None, None])
+        scale = distance * sightings.range_[:, None, None]
+        yield ShiftFamily("scale-error", "distance", "station", scale)
+        yield ShiftFamily("scale-error", "distance", "instrument", scale)
         yield ShiftFamily("constant-offset", "distance", "target", distance)
         yield ShiftFamily(
             "target-moved", "position", "target", sightings.target_derivatives, min_pointings_around_onset=1

@@ -1,4 +1,4 @@
-"""Refinement of selected motions: times of station motions, and displacements that are one motion of a target."""
+"""Refinement of selected hypotheses: times of station motions, and one simpler cause in place of several."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from ltsim.adjustment.identification.cause_selection import DISPLACED_REFLECTOR_KINDS
 from ltsim.adjustment.identification.fit import NetworkFit
-from ltsim.adjustment.identification.hypothesis import CauseHypothesis, ReadingShiftChange
+from ltsim.adjustment.identification.hypothesis import CauseHypothesis, ReadingShiftChange, ReferenceOmission
 from ltsim.adjustment.identification.hypothesis_library import shift_candidates
 from ltsim.core.errors import LtsimError
 from ltsim.physics.effects.station_bump import StationBump
@@ -64,6 +64,21 @@ def join_displacements(fit: NetworkFit) -> NetworkFit:
     )
     fits = (better_fit_or_none(fit, (*others, c.make_hypothesis(displacement))) for c in candidates)
     return max((made for made in fits if made is not None), key=lambda made: made.log_evidence, default=fit)
+
+
+def join_reference_errors(fit: NetworkFit) -> NetworkFit:
+    """Fit with one scale error of all distances in place of several wrong reference values, if its evidence is larger.
+
+    Each reference value contradicts distances of another scale. The values with the largest contradictions may have
+    been excluded before the scale was tested.
+    """
+    wrong = [h for h in fit.hypotheses if isinstance(h.model_change, ReferenceOmission) or h.kind == "reference-scale"]
+    if len(wrong) < 2 or fit.hypotheses[-1] not in wrong:
+        return fit
+    others = tuple(h for h in fit.hypotheses if h not in wrong)
+    scales = (c for c in shift_candidates(fit.adjustment.sightings) if c.family.kind == "scale-error")
+    scale = next((c.make_hypothesis(np.zeros(1)) for c in scales if not c.place.stations), None)
+    return fit if scale is None else better_fit_or_none(fit, (*others, scale)) or fit
 
 
 def better_fit_or_none(fit: NetworkFit, hypotheses: tuple[CauseHypothesis, ...]) -> NetworkFit | None:

@@ -83,6 +83,11 @@ def ball_at_all_stations(size: float) -> tuple[Recording, Place]:
     return longer(np.arange(len(workshop())), offset=size), ((), ())
 
 
+def scale_at_all_stations(size: float) -> tuple[Recording, Place]:
+    """Right control points, and a scale error of all distances, of a size [m] at 5 m."""
+    return with_control_points(longer(np.arange(len(workshop())), scale=size / 5.0), 0.0), ((), ())
+
+
 def exchanged_names(size: float) -> tuple[Recording, Place]:
     recording, target = workshop(), workshop().target.copy()
     first, second = rows_of("S2", "T07"), rows_of("S2", "T15")
@@ -159,6 +164,7 @@ RUNGS = [
     pytest.param(badly_seated_reflector, 1e-3, id="badly_seated_reflector"),
     pytest.param(badly_seated_reflector_in_one_face, 1e-3, id="badly_seated_reflector_in_one_face"),
     pytest.param(ball_at_all_stations, 3e-3, id="ball_at_all_stations"),
+    pytest.param(scale_at_all_stations, 3e-3, id="scale_at_all_stations"),
     pytest.param(exchanged_names, 0.0, id="exchanged_names", marks=pytest.mark.long),
     pytest.param(exchanged_reference_points, 0.0, id="exchanged_reference_points"),
     pytest.param(changing_constant("elevation", is_drift=True), 3e-4, id="drift_of_elevation"),
