@@ -388,10 +388,11 @@ class NetworkFit:
             return float(log_occam_factor_of_variance(redundancy.sum()) - np.sum(redundancy * np.log(ratio)))
         if isinstance(change, CentringChange):
             common = self.common_displacement_length(hypothesis)
-            occam_factor = log_occam_factor_of_centring(
-                self.estimate_and_covariance(hypothesis)[1], change.centring_uncertainty.sigma_mm * MILLIMETRE
-            )
-            return occam_factor + (common.log_evidence_gain if common is not None else 0.0)
+            if change.requires_common_length and (common is None or not common.is_smr_exchange):
+                return -np.inf
+            covariance = self.estimate_and_covariance(hypothesis)[1]
+            occam_factor = log_occam_factor_of_centring(covariance, change.centring_uncertainty.sigma_mm * MILLIMETRE)
+            return occam_factor + (0.0 if common is None else common.log_evidence_gain + common.log_prior_ratio)
         if isinstance(change, ReferenceOmission):
             value = change.reference_value
             in_sigmas = self.misclosure_of(value) / np.where(value.declared_sigmas > 0, value.declared_sigmas, np.inf)

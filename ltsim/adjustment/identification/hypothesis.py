@@ -89,6 +89,9 @@ class CentringChange:
 
     centring_uncertainty: CentringUncertainty
     """Stations and targets with centring errors, and the standard deviation of the displacements."""
+    requires_common_length: bool = False
+    """True if the change is possible only with displacements of one length: another SMR at a set-up. Without repeated
+    pointings displacements of random lengths explain any readings."""
 
 
 ModelChange = (

@@ -110,4 +110,4 @@ def hypothesis_with_centring_sigma(
     centring = change.centring_uncertainty.model_copy(
         update={"sigma_mm": max(factor, 1e-3) * change.centring_uncertainty.sigma_mm}
     )
-    return replace(hypothesis, model_change=CentringChange(centring))
+    return replace(hypothesis, model_change=replace(change, centring_uncertainty=centring))
