@@ -1,5 +1,6 @@
 """Tests of reference values (known coordinates, lengths, levels, azimuths) against other observations."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -197,14 +198,17 @@ def passes_global_test(problem: NetworkProblem, solution: Solution[NetworkState]
     return bool(special.chdtrc(max(problem.dof, 1), solution.sum_of_squares) >= FAMILY_WISE_LEVEL)
 
 
-def requires_instrument_constants_for_points(problem: NetworkProblem, solution: Solution[NetworkState]) -> bool:
+def requires_instrument_constants_for_points(
+    problem: NetworkProblem, solution: Solution[NetworkState], wrong_values: Sequence[ReferenceTest] = ()
+) -> bool:
     """True if errors of the instrument constants may look like errors of known points.
 
     This is possible if the network has known points, and if a fit that does not estimate the instrument constants fails
-    the global test.
+    the global test, or passes it only without the known points among `wrong_values`.
     """
     has_constants = problem.model.construction.n_parameters > 0
-    return bool(len(problem.control_rows)) and not has_constants and not passes_global_test(problem, solution)
+    has_misfit = any(test.kind == "point" for test in wrong_values) or not passes_global_test(problem, solution)
+    return bool(len(problem.control_rows)) and not has_constants and has_misfit
 
 
 def reference_tests_with_instrument_constants(

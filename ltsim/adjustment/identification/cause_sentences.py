@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -62,27 +63,39 @@ CAUSE_PHRASE_BY_REFERENCE_KIND = {
 """First words of a sentence on a wrong reference value, by its kind; the name of the value follows them."""
 
 
-def cause_sentence(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
-    """Sentence on a selected hypothesis, with the size of the error and its usual causes."""
-    is_centring = isinstance(hypothesis.model_change, CentringChange)
-    return (_centring_sentence if is_centring else _sentence_on_other_causes)(fit, hypothesis)
+def cause_sentence(fit: NetworkFit, hypothesis: CauseHypothesis, rival_names: Sequence[str] = ()) -> str:
+    """Sentence on a selected hypothesis, with the size of the error and its usual causes.
+
+    For a wrong reference value, `rival_names` are the names of other reference values that may be wrong in its place.
+    """
+    if isinstance(hypothesis.model_change, CentringChange):
+        return _centring_sentence(fit, hypothesis)
+    if isinstance(hypothesis.model_change, ReferenceOmission):
+        return _reference_sentence(fit, hypothesis, rival_names)
+    return _sentence_on_other_causes(fit, hypothesis)
+
+
+def _reference_sentence(fit: NetworkFit, hypothesis: CauseHypothesis, rival_names: Sequence[str]) -> str:
+    """Sentence on a wrong reference value; `rival_names` as for `cause_sentence`."""
+    assert isinstance(hypothesis.model_change, ReferenceOmission)
+    estimate, sigma, unit = misclosure_estimate(fit, hypothesis).values()
+    size_text = f"{_number_text(estimate)} {unit}" if sigma is None else with_sigma(estimate, sigma, unit)
+    plural = hypothesis.model_change.reference_value.kind == "point"
+    verb, them = ("are", "them") if plural else ("is", "it")
+    words = CAUSE_PHRASE_BY_REFERENCE_KIND[hypothesis.model_change.reference_value.kind]
+    phrase = f"{words} {hypothesis.reference_name_or_sentence} {verb} off by {size_text}"
+    if rival_names:
+        return f"{phrase}, or those of {names_text(rival_names)} are wrong: check each."
+    return f"{phrase}: check {them}."
 
 
 def _sentence_on_other_causes(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
-    """Sentence on a selected hypothesis on a shift of readings, the noise, a blunder or a reference value."""
+    """Sentence on a selected hypothesis on a shift of readings, the noise or a blunder."""
     place_names = ", ".join((*hypothesis.stations, *hypothesis.targets))
     if isinstance(hypothesis.model_change, RowCorrection | CoordinateExchange):
         return hypothesis.reference_name_or_sentence
     if isinstance(hypothesis.model_change, NoiseFactorChange):
         return noise_sentence(fit, hypothesis)
-    if isinstance(hypothesis.model_change, ReferenceOmission):
-        estimate, sigma, unit = misclosure_estimate(fit, hypothesis).values()
-        size_text = f"{_number_text(estimate)} {unit}" if sigma is None else with_sigma(estimate, sigma, unit)
-        plural = hypothesis.model_change.reference_value.kind == "point"
-        verb, them = ("are", "them") if plural else ("is", "it")
-        words = CAUSE_PHRASE_BY_REFERENCE_KIND[hypothesis.model_change.reference_value.kind]
-        phrase = f"{words} {hypothesis.reference_name_or_sentence}"
-        return f"{phrase} {verb} off by {size_text}: check {them}."
     assert isinstance(hypothesis.model_change, ReadingShiftChange)
     values, covariance = fit.estimate_and_covariance(hypothesis)
     estimate = estimate_sigma_and_unit(hypothesis, values, covariance)

@@ -27,6 +27,7 @@ from ltsim.adjustment.identification.hypothesis import (
 from ltsim.adjustment.identification.model_changes import (
     apply_corrections_and_omissions,
     hypothesis_with_centring_sigma,
+    solve_without_outliers,
     start_parameter_values,
     subtract_shifts,
 )
@@ -151,7 +152,7 @@ class NetworkFit:
             start = robust_state or fit_robust_state(problem, resect_contradicted_setups(problem, start_state))[0]
             start_state = resect_contradicted_setups(problem, start)
         full_problem = drop_undetermined_targets(problem, start_state)
-        fit = cls(fit_input, hypotheses, full_problem, *snoop_readings(full_problem, start_state, MAX_DECISION_CHANGES))
+        fit = cls(fit_input, hypotheses, full_problem, *solve_without_outliers(full_problem, start_state, hypotheses))
         if any(isinstance(h.model_change, NoiseFactorChange) for h in hypotheses):
             fit = fit._with_estimated_noise()
         return fit
@@ -378,9 +379,8 @@ class NetworkFit:
         """Log Occam factor of a hypothesis, for changed noise including the log determinant of the changed weights."""
         change = hypothesis.model_change
         if isinstance(change, ReadingShiftChange):
-            return float(
-                log_occam_factor_of_shift(self.estimate_length_in_sigmas(hypothesis), len(change.effect.parameters))
-            )
+            length = self.estimate_length_in_sigmas(hypothesis)
+            return float(log_occam_factor_of_shift(length, len(change.effect.parameters)))
         if isinstance(change, NoiseFactorChange):
             chosen = change.reading_mask & self.problem.is_used_reading
             ratio = self.problem.reading_sigmas[chosen] / self.fit_input.recording.reading_sigmas()[chosen]

@@ -132,7 +132,10 @@ class CauseHypothesis:
     def competes_with(self, rival: CauseHypothesis) -> bool:
         """True if this hypothesis and `rival` may explain the same readings.
 
-        They may if they share a station or target, or if one of them acts on the whole recording.
+        They may if they share a station or target, if one of them acts on the whole recording, or if both are wrong
+        reference values: each value is tested by the others.
         """
+        if all(isinstance(h.model_change, ReferenceOmission) for h in (self, rival)):
+            return True
         places = [(*h.stations, *h.targets) for h in (self, rival)]
         return not all(places) or not set(places[0]).isdisjoint(places[1])

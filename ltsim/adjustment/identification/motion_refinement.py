@@ -9,7 +9,8 @@ import numpy as np
 from ltsim.adjustment.identification.cause_selection import DISPLACED_REFLECTOR_KINDS
 from ltsim.adjustment.identification.fit import NetworkFit
 from ltsim.adjustment.identification.hypothesis import CauseHypothesis, ReadingShiftChange, ReferenceOmission
-from ltsim.adjustment.identification.hypothesis_library import shift_candidates
+from ltsim.adjustment.identification.hypothesis_library import reference_omissions, shift_candidates
+from ltsim.adjustment.reference_snooping import MIN_OTHERS_TO_IDENTIFY_WRONG_VALUE
 from ltsim.core.errors import LtsimError
 from ltsim.physics.effects.station_bump import StationBump
 
@@ -67,18 +68,31 @@ def join_displacements(fit: NetworkFit) -> NetworkFit:
 
 
 def join_reference_errors(fit: NetworkFit) -> NetworkFit:
-    """Fit with one scale error of all distances in place of several wrong reference values, if its evidence is larger.
+    """Fit with one error in place of several errors of reference values and scale, if its log evidence is larger.
 
-    Each reference value contradicts distances of another scale. The values with the largest contradictions may have
-    been excluded before the scale was tested.
+    A scale error of all distances contradicts each reference value, and the values with the largest contradictions may
+    have been excluded before the scale was tested. Of a few reference values, a right one may have been excluded
+    because a wrong one contradicts it; each other single value is then tested in place of all errors.
     """
-    wrong = [h for h in fit.hypotheses if isinstance(h.model_change, ReferenceOmission) or h.kind == "reference-scale"]
+    wrong = [h for h in fit.hypotheses if _concerns_reference_values(h)]
     if len(wrong) < 2 or fit.hypotheses[-1] not in wrong:
         return fit
     others = tuple(h for h in fit.hypotheses if h not in wrong)
     scales = (c for c in shift_candidates(fit.adjustment.sightings) if c.family.kind == "scale-error")
-    scale = next((c.make_hypothesis(np.zeros(1)) for c in scales if not c.place.stations), None)
-    return fit if scale is None else better_fit_or_none(fit, (*others, scale)) or fit
+    single = [c.make_hypothesis(np.zeros(1)) for c in scales if not c.place.stations]
+    remaining = reference_omissions(fit)
+    if len(remaining) < MIN_OTHERS_TO_IDENTIFY_WRONG_VALUE:
+        single += remaining
+    fits = (better_fit_or_none(fit, (*others, hypothesis)) for hypothesis in single)
+    return max((made for made in fits if made is not None), key=lambda made: made.log_evidence, default=fit)
+
+
+def _concerns_reference_values(hypothesis: CauseHypothesis) -> bool:
+    """True for a wrong reference value, and for a scale error of all reference lengths or of all distances."""
+    is_common_scale = hypothesis.kind == "reference-scale" or (
+        hypothesis.kind == "scale-error" and not hypothesis.stations
+    )
+    return is_common_scale or isinstance(hypothesis.model_change, ReferenceOmission)
 
 
 def better_fit_or_none(fit: NetworkFit, hypotheses: tuple[CauseHypothesis, ...]) -> NetworkFit | None:

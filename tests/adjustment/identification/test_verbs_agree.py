@@ -18,6 +18,7 @@ from ltsim.core.units import ARCSECOND
 from ltsim.physics.effects.motions import reading_change_by_displacement
 from ltsim.recordings.recording import Recording
 from ltsim.reports.sections import result_section
+from tests.families import family
 from tests.networks import mesh, network
 
 Place = tuple[tuple[str, ...], tuple[str, ...]]
@@ -317,6 +318,31 @@ def test_only_what_the_model_contains_is_called_corrected(other_cause: Cause | N
         corrected = ["T13"] * (not is_used) + list(places)
         count = f"The model corrects {len(corrected)} error{'s' if len(corrected) > 1 else ''} at "
         assert count in text and all(name in text for name in corrected)
+
+
+@pytest.mark.parametrize(
+    ("name", "error_mm"),
+    [("T01", (0.3, 0.0, 0.0)), *family([("T01", (0.0, 2.0, 0.0)), ("T13", (30.0, -40.0, 0.0))], 2)],
+)
+def test_one_wrong_control_point_of_three_is_the_same_in_every_verb(name: str, error_mm: tuple[float, ...]) -> None:
+    """Without the wrong point a rotation was free: 2 mm were reported as 5 m, or the right points as wrong."""
+    recording = workshop()
+    targets = dict(recording.setup.targets)
+    for known in ("T01", "T13", "T22"):
+        place = 1e3 * mesh()[recording.targets.index(known)] + np.array(error_mm) * (known == name)
+        targets[known] = targets[known].model_copy(update={"known_mm": tuple(place.tolist()), "known_sigma_mm": 0.01})
+    recording = recording.replace(setup=recording.setup.model_copy(update={"targets": targets}))
+    sentences = [
+        sorted(item.sentence for item in lt.check(recording).items if item.kind == "reference" and not item.passed)
+    ]
+    for result in (lt.adjust(recording), lt.calibrate(recording, advise=False)):
+        assert result.adjustment is not None
+        sentences.append(sorted(test.sentence for test in result.adjustment.rejected_references))
+        (test,) = (t for t in result.tests if t.accepted and t.kind != "outlier")
+        assert name in (*test.where.targets, *(n for other in test.alternatives for n in other.where.targets))
+        assert all(n in test.sentence for other in test.alternatives for n in other.where.targets)
+        assert test.estimate < 1.1 * np.linalg.norm(error_mm) + 0.05  # type: ignore[operator]
+    assert sentences[0] and sentences[0] == sentences[1] == sentences[2]
 
 
 def test_the_error_of_a_reference_value_has_one_standard_deviation() -> None:
