@@ -346,7 +346,7 @@ def reference_point_exchanges(recording: Recording) -> list[CauseHypothesis]:
     ):
         return []
     first, second = (names[i] for i in pairs[best_index])
-    sentence = f"The reference coordinates of {first} and {second} are exchanged: correct their names."
+    sentence = f"The reference coordinates of {first} and {second}, or the names of these targets, are exchanged."
     prior = log_prior_of_kind("names", len(pairs))
     return [
         CauseHypothesis("names", "point", (), (first, second), prior, CoordinateExchange((first, second)), sentence)

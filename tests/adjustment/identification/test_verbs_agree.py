@@ -356,6 +356,19 @@ def test_the_error_of_a_reference_value_has_one_standard_deviation() -> None:
     assert sigma == pytest.approx(test.sigma, rel=0.05)
 
 
+@pytest.mark.parametrize("cause", [exchanged_reference_points, *family([exchanged_names], 0)])
+def test_every_verb_gives_the_same_advice_on_exchanged_names(cause: Cause) -> None:
+    recording, (stations, targets) = cause(0.0)
+    results = [
+        lt.check(recording),
+        lt.adjust(recording),
+        lt.calibrate(recording, advise=False),
+        lt.diagnose(recording, held_out=False),
+    ]
+    (advice,) = {result_section(result).next_actions[0] for result in results}
+    assert all(name in advice for name in (*stations, *targets))
+
+
 def test_a_cause_without_which_no_network_fits_is_written_and_read(tmp_path: Path) -> None:
     recording, (_, targets) = exchanged_reference_points(0.0)
     folder = tmp_path / "adjusted"
