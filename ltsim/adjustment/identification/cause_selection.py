@@ -44,6 +44,7 @@ SYSTEMATIC_CAUSE_KINDS = (
     "constant-drift",
     "scale-error",
     "orientation",
+    "station-settling",
     "reflector-radius",
     "reflector-seating",
     "centring",

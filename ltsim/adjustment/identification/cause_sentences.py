@@ -22,9 +22,10 @@ from ltsim.adjustment.identification.nominal_offsets import offset_cause_text, s
 from ltsim.adjustment.identification.reading_shifts import ReadingShift
 from ltsim.adjustment.identification.reference_misclosures import misclosure_estimate
 from ltsim.core.arrays import Floats
-from ltsim.core.notation import names_text, with_sigma
-from ltsim.core.units import ARCSECOND, MICRORADIAN, MILLIMETRE, PPM
+from ltsim.core.notation import names_text, number_text, with_sigma
+from ltsim.core.units import ARCSECOND, MICROMETRE, MICRORADIAN, MILLIMETRE, PPM, SI_PER_UNIT
 from ltsim.physics.effects.scale_causes import temperature_errors_text
+from ltsim.physics.effects.station_settling import StationSettling
 from ltsim.physics.effects.target_moved import TargetMoved, moved_coordinates_sentence
 from ltsim.physics.laws.centring import shared_errors_sentence
 from ltsim.recordings.times import interval_text
@@ -35,8 +36,8 @@ def estimate_sigma_and_unit(
 ) -> dict[str, Any]:
     """Dictionary with the size of a shift of readings: `estimate`, `sigma` and `unit`.
 
-    The size is the parameter, or the length of the first three of p parameters: `shift_components` (p,) with the
-    covariance `covariance` (p, p) [SI].
+    The size is the parameter, or the length of the first three of p parameters (of both tilts if a station settles):
+    `shift_components` (p,) with the covariance `covariance` (p, p) [SI].
     """
     assert isinstance(hypothesis.model_change, ReadingShiftChange)
     unit, factor = ("mm", MILLIMETRE)
@@ -45,7 +46,10 @@ def estimate_sigma_and_unit(
         unit, factor = ("arcsec", ARCSECOND) if hypothesis.acts_on in ("azimuth", "elevation") else (unit, factor)
     if hypothesis.kind == "reference-scale":
         unit, factor = "ppm", PPM
-    part, spread = shift_components[:3], covariance[:3, :3]
+    n_components = 3
+    if isinstance(hypothesis.model_change.effect, StationSettling):  # two tilts; the rise is in the sentence
+        unit, factor, n_components = "urad", MICRORADIAN, 2
+    part, spread = shift_components[:n_components], covariance[:n_components, :n_components]
     estimated_size = float(part[0]) if len(part) == 1 else float(np.linalg.norm(part))
     sigma = float(np.sqrt(max(float(part @ spread @ part), 0.0))) / max(abs(estimated_size), 1e-300)
     return {"estimate": estimated_size / factor, "sigma": sigma / factor, "unit": unit}
@@ -123,6 +127,13 @@ def _sentence_on_other_causes(fit: NetworkFit, hypothesis: CauseHypothesis) -> s
         )
     if hypothesis.kind == "station-drift":
         return f"Station {place_names} moved at a constant rate during its occupation, by {size_text} in total."
+    if isinstance(effect, StationSettling):
+        rise_text = with_sigma(values[2] / MICROMETRE, float(np.sqrt(covariance[2, 2])) / MICROMETRE, "um")
+        return (
+            f"Station {place_names} settled after its set-up with a time constant of "
+            f"{number_text(effect.time_constant / SI_PER_UNIT['min'], 2)} min: it tilted by {size_text} and rose by "
+            f"{rise_text} in total."
+        )
     interval = _interval_text(fit, hypothesis)
     if hypothesis.kind == "orientation":
         return f"The horizontal circle of {place_names} was turned by {size_text} {interval}."

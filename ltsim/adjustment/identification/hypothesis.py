@@ -19,6 +19,7 @@ CauseKind = Literal[
     "target-moved",
     "station-bump",
     "station-drift",
+    "station-settling",
     "orientation",
     "reflector-radius",
     "reflector-seating",

@@ -40,6 +40,7 @@ from ltsim.physics.effects.motions import station_motion_design
 from ltsim.physics.effects.nest_lift import NestLift
 from ltsim.physics.effects.smr_offset import SmrOffset
 from ltsim.physics.effects.station_bump import StationBump
+from ltsim.physics.effects.station_settling import StationSettling
 from ltsim.physics.effects.target_moved import TargetMoved
 from ltsim.physics.laws.law import MAX_CANDIDATE_SWITCH_EDGES
 from ltsim.recordings.recording import OBSERVABLES, Recording
@@ -87,6 +88,8 @@ class ShiftFamily:
     acts from the first pointing on."""
     drift_interval: Literal["occupation", "recording"] | None = None
     """Interval in which the shift grows at a constant rate from zero; None for other shifts."""
+    time_constant: float | None = None
+    """Time constant [s] with which the station settles; None for other shifts."""
 
     def candidate_onset_times(self, sightings: Sightings, rows: Ints) -> list[float]:
         """Times [s] at which a shift may begin at a station or target.
@@ -119,6 +122,8 @@ class ShiftFamily:
             return StationBump(stations, targets, time=onset_time)
         if self.kind == "station-drift":
             return UniformMotion(stations, targets)
+        if self.time_constant is not None:
+            return StationSettling(stations, targets, time_constant=self.time_constant)
         if self.kind == "target-moved":
             return TargetMoved(stations, targets, time=onset_time)
         if self.kind == "reflector-radius":
@@ -206,6 +211,9 @@ def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
     yield ShiftFamily("orientation", "azimuth", "station", azimuth, min_pointings_around_onset=MIN_POINTS_FOR_POSE)
     yield ShiftFamily("station-bump", "position", "station", motion, min_pointings_around_onset=MIN_POINTS_FOR_POSE)
     yield ShiftFamily("station-drift", "position", "station", UniformMotion().design(sightings))
+    for time_constant in StationSettling.shape_parameters[0].grid_values().tolist():
+        design = StationSettling(time_constant=time_constant).design(sightings)
+        yield ShiftFamily("station-settling", "position", "station", design, time_constant=time_constant)
 
 
 @dataclass(frozen=True)

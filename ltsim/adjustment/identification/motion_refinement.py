@@ -13,6 +13,8 @@ from ltsim.adjustment.identification.hypothesis_library import reference_omissio
 from ltsim.adjustment.reference_snooping import MIN_OTHERS_TO_IDENTIFY_WRONG_VALUE
 from ltsim.core.errors import LtsimError
 from ltsim.physics.effects.station_bump import StationBump
+from ltsim.physics.effects.station_settling import StationSettling
+from ltsim.solve.gauss_newton import MAX_DECISION_CHANGES
 
 MIN_MOTION_SIGMAS_FOR_REFINEMENT = 1000.0
 """Smallest size of a sudden station motion, in its standard deviations, at which other times of the motion are fitted
@@ -43,6 +45,30 @@ def refine_motion_time(fit: NetworkFit) -> NetworkFit:
         better_fits = ((at, better_fit_or_none(fit, variants[at])) for at in neighbours)
         now, better_fit = next(((at, made) for at, made in better_fits if made is not None), (now, None))
         step, fit = (step // 2, fit) if better_fit is None else (step, better_fit)
+    return fit
+
+
+def refine_time_constant(fit: NetworkFit) -> NetworkFit:
+    """Fit with an improved time constant of a settling station, if this is the hypothesis selected last.
+
+    The screening tries a few time constants. The readings of a large motion that another time constant does not explain
+    would appear as further causes.
+    """
+    *others, last = fit.hypotheses
+    change = last.model_change
+    if not isinstance(change, ReadingShiftChange) or not isinstance(change.effect, StationSettling):
+        return fit
+    grid = change.effect.shape_parameters[0].grid_values()
+    log_step = float(np.log(grid[1] / grid[0]))
+    effect = change.effect
+    for _ in range(MAX_DECISION_CHANGES):
+        log_step *= 0.5
+        for sign in (-1.0, 1.0):
+            tried = replace(effect, time_constant=effect.time_constant * float(np.exp(sign * log_step)))
+            better = better_fit_or_none(fit, (*others, replace(last, model_change=replace(change, effect=tried))))
+            if better is not None:
+                fit, effect = better, tried
+                break
     return fit
 
 

@@ -19,6 +19,7 @@ RECOMMENDATION_BY_CAUSE_KIND = {
     "target-moved": "Inspect the nest of {place}, and measure this target again from all set-ups.",
     "station-bump": "Check the tripod of {place}, and measure this set-up again.",
     "station-drift": "Let the tripod of {place} settle, and measure this set-up again.",
+    "station-settling": "Let the tripod of {place} settle, and measure this set-up again.",
     "orientation": "Check the clamping of the tracker at {place}, and measure this set-up again.",
     "reflector-seating": "Clean the nest, seat the reflector again, and measure again {rows}.",
     "reflector-radius": "Check the SMR at {place}, and declare its radius.",

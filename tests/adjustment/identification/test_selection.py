@@ -38,6 +38,7 @@ from ltsim.diagnosis.sentences import finding_title
 from ltsim.geometry.rigid import align_robustly, rotation_about_z
 from ltsim.physics.effects.motions import reading_change_by_displacement, reading_change_by_station_motion
 from ltsim.physics.effects.station_bump import StationBump
+from ltsim.physics.effects.station_settling import StationSettling
 from ltsim.physics.model.construction import declared_construction, misalignment_construction
 from ltsim.physics.model.measurement import sightings_at_state
 from ltsim.recordings.centring_errors import CentringUncertainty
@@ -117,6 +118,24 @@ def test_a_scale_error_of_a_station(share: float) -> None:
     readings = recording.readings.copy()
     readings[recording.station == 1, 0] *= 1.0 + share
     assert the_one(identified(recording.with_readings(readings))) == ("scale-error", ("S2",), ())
+
+
+@pytest.mark.parametrize("size", [1.0, *family([100.0], 0)])
+def test_a_stand_that_settles_is_one_cause(size: float) -> None:
+    """It was reported as a sudden motion and a drift of the station."""
+    recording, truth = hall()
+    settled = StationSettling(("S2",), time_constant=240.0).reading_change(
+        sightings_at_state(recording, truth.state), size * np.array([2e-5, -1.5e-5, 5e-5])
+    )
+    selection = identified(recording.with_readings(recording.readings + settled))
+    assert the_one(selection) == ("station-settling", ("S2",), ())
+    assert selection.requires_adjustment_with_causes
+    (effect,) = selection.fit.effects
+    assert isinstance(effect, StationSettling)
+    assert effect.time_constant == pytest.approx(240.0, rel=0.5 if size < 10.0 else 0.1)
+    (test,) = cause_tests(selection)
+    assert test.unit == "urad"
+    assert test.estimate == pytest.approx(25.0 * size, rel=0.3 if size < 10.0 else 0.05)
 
 
 @pytest.mark.parametrize("share", [2e-4, *family([0.1, 2e-5])])
