@@ -197,22 +197,32 @@ class CauseSelection:
 
     @property
     def larger_noise_hypotheses(self) -> tuple[CauseHypothesis, ...]:
-        """Selected hypotheses, if all are larger noise than declared and the network is consistent; otherwise empty."""
+        """Selected hypotheses, if all are other noise than declared, some of it larger; otherwise empty.
+
+        They are also empty if the network is not consistent.
+        """
         chosen = tuple(choice.hypothesis for choice in self.selected_hypotheses)
-        changes = [h.model_change for h in chosen]
-        is_noise = all(isinstance(change, NoiseFactorChange) and change.start_factor > 1.0 for change in changes)
-        return chosen if self.is_consistent and is_noise else ()
+        is_noise = all(isinstance(h.model_change, NoiseFactorChange) for h in chosen)
+        return chosen if self.is_consistent and is_noise and max(self._noise_factors) > 1.0 else ()
+
+    @property
+    def _noise_factors(self) -> list[float]:
+        """Start values of the factors on the declared noise of the selected noise hypotheses."""
+        changes = (choice.hypothesis.model_change for choice in self.selected_hypotheses)
+        return [change.start_factor for change in changes if isinstance(change, NoiseFactorChange)]
 
     @property
     def is_consistent(self) -> bool:
         """True if the selected hypotheses explain the misfit: the global test passes and all hypotheses are certain.
 
         Exceptions are False: set-ups in another unit or sense of rotation (the recording must be read again), noise
-        smaller than declared (outliers may then be errors of the model), larger noise with remaining outliers, and
-        wrong reference values or set-ups over marks (other tests are more specific).
+        smaller than declared (outliers may then be errors of the model) unless other noise is larger and no outlier
+        remains, larger noise with remaining outliers, and wrong reference values or set-ups over marks (other tests are
+        more specific).
         """
         changes = [c.hypothesis.model_change for c in self.selected_hypotheses]
-        quieter = any(isinstance(change, NoiseFactorChange) and change.start_factor < 1.0 for change in changes)
+        factors = self._noise_factors
+        quieter = min(factors, default=1.0) < 1.0 and (max(factors) <= 1.0 or bool(self.fit.is_outlier.any()))
         omitted = any(isinstance(change, ReferenceOmission) for change in changes)
         others = omitted or any(self.fit.problem.marks.mark_names)
         doubtful = quieter or others or (has_larger_noise_of_all_readings(self.fit) and bool(self.fit.is_outlier.any()))

@@ -478,6 +478,21 @@ def test_noise_factors_of_common_readings_are_estimated_together() -> None:
     np.testing.assert_allclose(factors, np.tile([1.0, 2.0, 2.0], (1000, 1)), rtol=0.02)
 
 
+def test_larger_noise_of_one_observable_with_smaller_noise_of_another_is_reported() -> None:
+    """Neither verb gave an advice, and `check` reported motions and outliers instead."""
+    recording = network(faces=2, seed=21)[0]
+    adjusted = adjust(recording)
+    noise = random_stream(22, "noise").standard_normal(recording.readings.shape) * recording.reading_sigmas()
+    exact = adjusted.problem.model.predict(adjusted.state)
+    changed = recording.with_readings(exact + noise * [3.0, 1.0, 0.3])
+    checked, result = lt.check(changed), lt.adjust(changed)
+    assert result.verdict.case == "larger noise"
+    for setting in ("distance_mm", "elevation_arcsec"):
+        assert f"set {setting} to" in result.verdict.sentence
+    assert "set distance_mm to" in checked.sentence
+    assert [item.kind for item in checked.items if not item.passed and item.kind != "closure"] == []
+
+
 def test_noise_of_the_angles_is_reported_with_the_settings_to_declare() -> None:
     recording = network(faces=2, seed=21)[0]
     extra = (
