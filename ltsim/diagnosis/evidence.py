@@ -142,7 +142,8 @@ def log_evidence_of_wrong_readings(
 
     Readings with a positive log evidence count as wrong. The first `N_EXACTLY_EVALUATED_HYPOTHESES` are selected one
     after another, each given the others, because one wrong reading also changes the residuals of other readings. The
-    log evidences of all further readings are added as if they were independent.
+    log evidences of all further readings are added as if they were independent, except that together they decrease
+    chi-square by no more than its value.
 
     Parameters
     ----------
@@ -168,7 +169,10 @@ def log_evidence_of_wrong_readings(
         if log_evidences[most] <= 0.0:
             break
         if n_wrong == N_EXACTLY_EVALUATED_HYPOTHESES:
-            return total + float(np.maximum(log_evidences, 0.0).sum())
+            is_wrong = log_evidences > 0.0
+            half_drops = 0.5 * residual[: len(scale)][is_wrong] ** 2 / redundancy[: len(scale)][is_wrong]
+            excess = max(float(half_drops.sum()) - 0.5 * float(residual @ residual), 0.0)
+            return total + max(float(log_evidences[is_wrong].sum()) - excess, 0.0)
         total += float(log_evidences[most])
         unit = np.zeros(space.n_equations)
         unit[most] = 1.0
