@@ -134,6 +134,6 @@ def _title_words(column: TableColumn) -> str:
 def _numbers_and_unit(table: PointingTable, title: str) -> tuple[Floats, float, str]:
     """Numbers (n,) in n cells of an additional column (NaN for no number), their last digit, and unit of the cells."""
     texts, unit = cells.split_common_unit(table.pointings.additional_cell_texts(title))
-    numbers = [*map(cells.parse_number_or_angle, texts, table.pointings.thousands_separator)]
+    numbers = [*cells.exact_numbers(texts, table.pointings.thousands_separator)]
     last_digit = min((int(number.as_tuple().exponent) for number in numbers if number is not None), default=0)
     return np.array([NOT_MEASURED if x is None else float(x) for x in numbers]), 10.0**last_digit, unit
