@@ -142,8 +142,7 @@ def log_evidence_of_wrong_readings(
 
     Readings with a positive log evidence count as wrong. The first `N_EXACTLY_EVALUATED_HYPOTHESES` are selected one
     after another, each given the others, because one wrong reading also changes the residuals of other readings. The
-    log evidences of all further readings are added as if they were independent, except that together they decrease
-    chi-square by no more than its value.
+    log evidences of all further readings are added as if they were independent, up to the whole chi-square.
 
     Parameters
     ----------
@@ -156,10 +155,10 @@ def log_evidence_of_wrong_readings(
     log_prior : float
         Log prior probability that any reading is wrong. It is divided equally among all readings.
     """
-    plausible_sizes = np.concatenate(
-        [Outlier(observable=name).plausible_sizes for name in READING_COLUMN_BY_OBSERVABLE]
-    )
-    scale = (plausible_sizes / space.reading_sigmas)[space.is_used_reading]
+    outliers = [Outlier(observable=name) for name in READING_COLUMN_BY_OBSERVABLE]
+    scale = (np.concatenate([outlier.plausible_sizes for outlier in outliers]) / space.reading_sigmas)[
+        space.is_used_reading
+    ]
     redundancy, total = space.redundancy - np.sum(model_basis**2, axis=1), 0.0
     for n_wrong in range(N_EXACTLY_EVALUATED_HYPOTHESES + 1):
         score, eigenvalues = residual[: len(scale)] * scale, np.maximum(redundancy[: len(scale)], 0.0) * scale**2
