@@ -156,9 +156,8 @@ def log_evidence_of_wrong_readings(
         Log prior probability that any reading is wrong. It is divided equally among all readings.
     """
     outliers = [Outlier(observable=name) for name in READING_COLUMN_BY_OBSERVABLE]
-    scale = (np.concatenate([outlier.plausible_sizes for outlier in outliers]) / space.reading_sigmas)[
-        space.is_used_reading
-    ]
+    sizes = np.concatenate([outlier.plausible_sizes for outlier in outliers])
+    scale = (sizes / space.reading_sigmas)[space.is_used_reading]
     redundancy, total = space.redundancy - np.sum(model_basis**2, axis=1), 0.0
     for n_wrong in range(N_EXACTLY_EVALUATED_HYPOTHESES + 1):
         score, eigenvalues = residual[: len(scale)] * scale, np.maximum(redundancy[: len(scale)], 0.0) * scale**2
