@@ -29,6 +29,7 @@ ESTIMATED_NON_TRACKER_CAUSE_KINDS: tuple[CauseKind, ...] = (
     "target-moved",
     "station-bump",
     "station-drift",
+    "station-settling",
     "orientation",
     "reflector-radius",
 )

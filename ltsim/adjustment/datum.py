@@ -13,14 +13,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ltsim.adjustment.problem import NetworkProblem
+from ltsim.adjustment.reference_values import ReferenceValue
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import ModelError, unknown_name_error
+from ltsim.core.rounding import SQRT_MACHINE_EPSILON
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.rigid import matrix_from_rotation_vector, rigid_motion_jacobian
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.solve.design import NORMAL_RANK_TOLERANCE, scale_to_unit_diagonal
 from ltsim.solve.elimination import FactorisedNormals
-from ltsim.solve.gauss_newton import MAX_ITERATIONS
+from ltsim.solve.gauss_newton import MAX_ITERATIONS, Solution, solve
 
 
 @dataclass(frozen=True)
@@ -104,6 +106,26 @@ def move_to_datum(problem: NetworkProblem, state: NetworkState, names: Sequence[
         if moved < 1e-12:
             break
     return state, rotation_angle
+
+
+def solution_near_excluded_points(
+    problem: NetworkProblem, solution: Solution[NetworkState], excluded_values: Sequence[ReferenceValue]
+) -> Solution[NetworkState]:
+    """Solution moved along the free motions of a problem as near as possible to excluded points.
+
+    Without the excluded point the other ones may not define the frame: two points leave a rotation undetermined. The
+    misclosure of the excluded point is then the smallest one that a free motion permits. `excluded_values` are the
+    excluded reference values of all kinds.
+    """
+    names = [value.name for value in excluded_values if value.kind == "point" and value.declared_axes == "xyz"]
+    if not names or not problem.free_motions.shape[1]:
+        return solution
+    for _ in range(MAX_ITERATIONS):  # a finite motion is free only to first order: the other points are fitted again
+        moved, rotation_angle = move_to_datum(problem, solution.x, names)
+        solution = solve(problem, moved)
+        if solution.factor is None or rotation_angle < SQRT_MACHINE_EPSILON:
+            break
+    return solution
 
 
 @dataclass(frozen=True)

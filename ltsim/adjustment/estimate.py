@@ -192,10 +192,11 @@ def _without_wrong_references(
     """
     tested, tested_state = problem.with_instrument_constants(start_state)
     remaining, solution, wrong = snoop_references(tested, solve(tested, tested_state), tested_reference_kinds)
-    if tested is problem and requires_instrument_constants_for_points(remaining, solution):
+    if tested is problem and requires_instrument_constants_for_points(remaining, solution, wrong):
         with_shape_parameters, state = problem.with_instrument_constants(start_state, requires_length=False)
         snooped = snoop_references(with_shape_parameters, solve(with_shape_parameters, state), tested_reference_kinds)
-        if passes_global_test(*snooped[:2]):
+        is_undecided = any(test.indistinguishable_from for test in snooped[2])
+        if passes_global_test(*snooped[:2]) or is_undecided:
             tested, (remaining, solution, wrong) = with_shape_parameters, snooped
     if tested is problem:
         return remaining, solution, wrong

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import special
 
+from ltsim.adjustment.datum import solution_near_excluded_points
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reference_tests import (
     MIN_TESTED_REDUNDANCY,
@@ -95,14 +96,15 @@ def snoop_references(
     too_many = solution.factor is None or _is_any_kind_inconsistent(*given, gone)
     if too_many and by_far is not None:
         reduced, near, count = by_far
-        reduced, ended, more = snoop_references(reduced, solve(reduced, near.x), reference_kinds, exempt_values)
+        near = solution_near_excluded_points(reduced, solve(reduced, near.x), out[:count])
+        reduced, ended, more = snoop_references(reduced, near, reference_kinds, exempt_values)
         return reduced, ended, (*_tests_with_final_errors(out[:count], problem, (reduced, ended)), *more)
     if too_many:
         return *given, _contradicting_group(gone, reference_tests(*given))
     if not gone:
         return *given, tuple(out)
     reduced = problem.with_model(aside.model)
-    ended = solve(reduced, solution.x)
+    ended = solution_near_excluded_points(reduced, solve(reduced, solution.x), gone)
     final = reference_tests(reduced, ended)
     others = {kind: [test for test in final if test.kind == kind] for kind in {t.kind for t in gone}}
     weak = [

@@ -1,5 +1,6 @@
 """Tests of reference values (known coordinates, lengths, levels, azimuths) against other observations."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -18,7 +19,7 @@ from ltsim.adjustment.reference_values import (
 from ltsim.adjustment.reliability import noise_factor, noncentrality
 from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, MIN_CERTAIN_ERROR_SIGMAS
 from ltsim.core.arrays import Floats, batches
-from ltsim.core.notation import with_sigma
+from ltsim.core.notation import count_text, number_text, with_sigma
 from ltsim.core.rounding import SQRT_MACHINE_EPSILON
 from ltsim.core.units import ARCSECOND, MILLIMETRE
 from ltsim.physics.effects.scale_causes import temperature_errors_text
@@ -92,15 +93,33 @@ class ReferenceTest(ReferenceValue):
 
     @property
     def error_text(self) -> str:
-        """Text with the size of the error (length of its vector), its standard deviation and unit.
+        """Text with the size of the error (length of its vector), its standard deviation and unit."""
+        error_size, sigma = self._error_size_and_sigma
+        unit, factor = ERROR_UNIT_BY_REFERENCE_KIND.get(self.kind, ("mm", MILLIMETRE))
+        return with_sigma(error_size / factor, sigma / factor, unit)
+
+    @property
+    def _error_size_and_sigma(self) -> tuple[float, float]:
+        """Length [m, rad or 1] of the error, and its standard deviation.
 
         If the covariance of the error is not known, the standard deviation is the size divided by `normalised_error`.
         """
         error_size, sigma = float(np.linalg.norm(self.error)), self.error_length_sigma
         if sigma is None:
             sigma = error_size / self.normalised_error if self.normalised_error else 0.0
-        unit, factor = ERROR_UNIT_BY_REFERENCE_KIND.get(self.kind, ("mm", MILLIMETRE))
-        return with_sigma(error_size / factor, sigma / factor, unit)
+        return error_size, sigma
+
+    @property
+    def statistic_text(self) -> str:
+        """Text with the statistic of the test: w (size / standard deviation) for one component, else chi-square.
+
+        The chi-square of several components tests all of them together. Its square root exceeds the ratio of the length
+        of the error to the standard deviation of this length, if their standard deviations differ.
+        """
+        error_size, sigma = self._error_size_and_sigma
+        if self.rank == 1 and sigma:
+            return f"w = {number_text(error_size / sigma)}"
+        return f"chi2 = {number_text(self.chi2_drop)} for {count_text(self.rank, 'component')}"
 
     @property
     def sentence(self) -> str:
@@ -113,14 +132,14 @@ class ReferenceTest(ReferenceValue):
             where, cause = (
                 (where, f" (its height is declared too {cause})") if self.is_height_error else ("away from", "")
             )
-            end = f"{mark}{cause} (w = {self.normalised_error:.3g}): its position is estimated separately"
+            end = f"{mark}{cause} ({self.statistic_text}): its position is estimated separately"
             return f"set-up {self.name} is {self.error_text} {where} {end}"
         if self.kind == "scale":
             more, less = ("long", "short") if self.error[0] > 0 else ("short", "long")
             causes = "check the temperature, the expansion coefficient and the scale of the ranges"
             causes += f" ({temperature_errors_text(float(self.error[0]))})"
             remark = "; the ranges now define the scale, the lengths only their ratios" if self.is_excluded else ""
-            size = f"{self.name} are {self.error_text} too {more} (w = {self.normalised_error:.3g})"
+            size = f"{self.name} are {self.error_text} too {more} ({self.statistic_text})"
             return f"{size}, or all ranges are too {less}: {causes}{remark}"
         if self.indistinguishable_from:
             both = f"{', '.join((self.name, *self.indistinguishable_from))} are inconsistent"
@@ -131,7 +150,7 @@ class ReferenceTest(ReferenceValue):
         if self.occupied_by and self.is_height_error:
             note = f"or the height of set-up {self.occupied_by} over it is wrong: excluded"
         verb = "are" if self.kind in ("point", "axes") else "is"
-        return f"{what} {verb} off by {self.error_text} (w = {self.normalised_error:.3g}), {note}"
+        return f"{what} {verb} off by {self.error_text} ({self.statistic_text}), {note}"
 
     def with_noise_factor(self, factor: float) -> Self:
         """Same test with all standard deviations multiplied by `factor`, for noise larger than declared."""
@@ -198,14 +217,17 @@ def passes_global_test(problem: NetworkProblem, solution: Solution[NetworkState]
     return bool(special.chdtrc(max(problem.dof, 1), solution.sum_of_squares) >= FAMILY_WISE_LEVEL)
 
 
-def requires_instrument_constants_for_points(problem: NetworkProblem, solution: Solution[NetworkState]) -> bool:
+def requires_instrument_constants_for_points(
+    problem: NetworkProblem, solution: Solution[NetworkState], wrong_values: Sequence[ReferenceTest] = ()
+) -> bool:
     """True if errors of the instrument constants may look like errors of known points.
 
     This is possible if the network has known points, and if a fit that does not estimate the instrument constants fails
-    the global test.
+    the global test, or passes it only without the known points among `wrong_values`.
     """
     has_constants = problem.model.construction.n_parameters > 0
-    return bool(len(problem.control_rows)) and not has_constants and not passes_global_test(problem, solution)
+    has_misfit = any(test.kind == "point" for test in wrong_values) or not passes_global_test(problem, solution)
+    return bool(len(problem.control_rows)) and not has_constants and has_misfit
 
 
 def reference_tests_with_instrument_constants(

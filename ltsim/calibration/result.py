@@ -199,7 +199,7 @@ def reference_value_entries(adjustment: Adjustment) -> tuple[ReferenceValueTestE
             minimal_detectable_error=float(test.minimal_detectable_errors[k]) / factor if is_tested else None,
             unit=unit,
             redundancy=float(test.redundancy[k]),
-            w=test.normalised_error,
+            w=float(abs(test.error[k]) / test.error_sigmas[k]) if is_tested and test.error_sigmas[k] > 0.0 else 0.0,
             excluded=test.is_excluded,
         )
         value_entries.append(entry)

@@ -210,7 +210,7 @@ class ReferenceValueTestEntry(Entry):
     redundancy: Finite
     """Redundancy number: fraction of an error of the declared value that appears in its residual."""
     w: Finite
-    """Statistic of the w-test: square root of the decrease of chi-square if the whole reference value is left out."""
+    """Statistic of the w-test of this component: absolute value of `error` divided by `sigma_error`; 0 if untested."""
     excluded: bool = False
     """True if the value contradicts all other observations and was excluded from the adjustment."""
 

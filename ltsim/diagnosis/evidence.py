@@ -143,7 +143,7 @@ def log_evidence_of_wrong_readings(
 
     Readings with a positive log evidence count as wrong. The first `N_EXACTLY_EVALUATED_HYPOTHESES` are selected one
     after another, each given the others, because one wrong reading also changes the residuals of other readings. The
-    log evidences of all further readings are added as if they were independent.
+    log evidences of all further readings are added as if they were independent, up to the whole chi-square.
 
     Parameters
     ----------
@@ -156,10 +156,9 @@ def log_evidence_of_wrong_readings(
     log_prior : float
         Log prior probability that any reading is wrong. It is divided equally among all readings.
     """
-    plausible_sizes = np.concatenate(
-        [Outlier(observable=name).plausible_sizes for name in READING_COLUMN_BY_OBSERVABLE]
-    )
-    scale = (plausible_sizes / space.reading_sigmas)[space.is_used_reading]
+    outliers = [Outlier(observable=name) for name in READING_COLUMN_BY_OBSERVABLE]
+    sizes = np.concatenate([outlier.plausible_sizes for outlier in outliers])
+    scale = (sizes / space.reading_sigmas)[space.is_used_reading]
     redundancy, total = space.redundancy - np.sum(model_basis**2, axis=1), 0.0
     for n_wrong in range(N_EXACTLY_EVALUATED_HYPOTHESES + 1):
         score, eigenvalues = residual[: len(scale)] * scale, np.maximum(redundancy[: len(scale)], 0.0) * scale**2
@@ -169,7 +168,10 @@ def log_evidence_of_wrong_readings(
         if log_evidences[most] <= 0.0:
             break
         if n_wrong == N_EXACTLY_EVALUATED_HYPOTHESES:
-            return total + float(np.maximum(log_evidences, 0.0).sum())
+            is_wrong = log_evidences > 0.0
+            half_drops = 0.5 * residual[: len(scale)][is_wrong] ** 2 / redundancy[: len(scale)][is_wrong]
+            excess = max(float(half_drops.sum()) - 0.5 * float(residual @ residual), 0.0)
+            return total + max(float(log_evidences[is_wrong].sum()) - excess, 0.0)
         total += float(log_evidences[most])
         unit = np.zeros(space.n_equations)
         unit[most] = 1.0

@@ -125,6 +125,7 @@ EFFECT_NAME_BY_CAUSE = {
     ("orientation", "azimuth"): "station-bump",
     ("station-bump", "position"): "station-bump",
     ("station-drift", "position"): "station-settling",
+    ("station-settling", "position"): "station-settling",
     ("target-moved", "position"): "target-moved",
     ("reflector-radius", "position"): "smr-offset",
     ("reflector-seating", "position"): "nest-lift",

@@ -11,6 +11,7 @@ CAUSE_KIND_BY_EFFECT_NAME = {
     "range-step": "constant-step",
     "smr-offset": "reflector-radius",
     "target-moved": "target-moved",
+    "target-swap": "names",
 }
 """Kind of the simple cause (such as outliers or moved targets) whose recommended action is used after a finding, by the
 name of the catalogue effect."""
@@ -21,11 +22,6 @@ def inspection_action(finding: Finding) -> str:
     scope = finding.where
     trackers = [f"instrument {name}" for name in scope.instruments]
     place = names_text([*trackers, *scope.stations, *scope.targets])
-    if is_name_exchange(finding):
-        names = names_text(scope.targets)
-        if not scope.stations:
-            return f"Exchange the reference coordinates of {names} in setup.toml."
-        return f"Exchange the names {names} at {names_text(scope.stations)}."
     if finding.effect == "noise-level":
         return "Set the noise in setup.toml to the estimated values."
     if finding.effect in CAUSE_KIND_BY_EFFECT_NAME and place:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import ltsim as lt
 from ltsim.adjustment import adjust
 from ltsim.adjustment.axes import with_axes_from_points, with_control_points
 from ltsim.adjustment.quality import adjustment_warnings
-from ltsim.adjustment.reference_tests import ReferenceTest
+from ltsim.adjustment.reference_tests import ReferenceTest, length_sigma
 from ltsim.calibration.network import calibrate_network
 from ltsim.core.errors import RecordError
 from ltsim.core.randomness import random_stream
@@ -327,17 +328,36 @@ def test_the_sigma_of_an_error_agrees_with_its_w() -> None:
     """`2.999 +- 0.014 mm (w = 695)` was printed: the components of the error were correlated."""
     error, covariance = np.array([3e-3, 1e-4, 0.0]), np.diag([1.4e-5, 1e-5, 1e-5]) ** 2
     covariance[0, 1] = covariance[1, 0] = 0.9 * 1.4e-5 * 1e-5
-    test = ReferenceTest(
-        "axes",
-        "P05",
-        "xyz",
-        declared_sigmas=np.full(3, 1e-5),
-        residual=error,
-        error=error,
-        error_sigmas=np.sqrt(np.diag(covariance)),
-        chi2_drop=float(error @ np.linalg.solve(covariance, error)),
-        rank=3,
-    )
-    size, sigma = (float(text) for text in test.error_text.removesuffix(" mm").split(" +- "))
-    assert size / sigma == pytest.approx(test.normalised_error, rel=0.05)
-    assert f"(w = {test.normalised_error:.3g})" in test.sentence
+    for n in (1, 3):
+        test = ReferenceTest(
+            "point",
+            "P05",
+            "xyz"[:n],
+            declared_sigmas=np.full(n, 1e-5),
+            residual=error[:n],
+            error=error[:n],
+            error_sigmas=np.sqrt(np.diag(covariance)[:n]),
+            chi2_drop=float(error[:n] @ np.linalg.solve(covariance[:n, :n], error[:n])),
+            rank=n,
+            error_length_sigma=length_sigma(error[:n], covariance[:n, :n]),
+        )
+        size, sigma = (float(text) for text in test.error_text.removesuffix(" mm").split(" +- "))
+        stated = re.search(r"\(w = ([0-9.]+)\)", test.sentence)
+        assert (stated is not None) == (n == 1), test.sentence
+        if stated is not None:
+            assert size / sigma == pytest.approx(float(stated[1]), rel=0.05)
+        else:
+            assert f"(chi2 = {test.chi2_drop:.0f} for 3 components)" in test.sentence
+
+
+def test_each_component_of_a_reference_value_has_its_own_w() -> None:
+    recording = network(seed=8, stations=3)[0]
+    targets = dict(recording.setup.targets)
+    for name in SIX:
+        place = 1e3 * mesh()[recording.targets.index(name)] + np.array([0.0, 0.0, 0.5 * (name == "T20")])
+        targets[name] = targets[name].model_copy(update={"known_mm": tuple(place.tolist()), "known_sigma_mm": 0.02})
+    adjusted = lt.adjust(recording.replace(setup=recording.setup.model_copy(update={"targets": targets})))
+    entries = [entry for entry in adjusted.reference_values if entry.kind == "point" and entry.sigma_error]
+    assert len(entries) == 3 * len(SIX)
+    for entry in entries:
+        assert entry.w == pytest.approx(abs(entry.error) / entry.sigma_error)

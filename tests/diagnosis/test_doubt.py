@@ -78,6 +78,15 @@ def test_one_wrong_reading_is_not_counted_again_in_the_readings_that_it_distorts
     assert by_chi2 - 20.0 < one < by_chi2
 
 
+def test_wrong_readings_explain_no_more_than_the_chi_square():
+    """A station bumped by 1 mm was called several wrong readings, and the targets were off by 192 um."""
+    space = space_of(workshop(2)[0])
+    rows = int(space.is_used_reading.sum())
+    residual = space.project(np.where(np.arange(space.n_equations) < rows // 4, 500.0, 0.0))
+    evidence = log_evidence_of_wrong_readings(space, residual, np.zeros((space.n_equations, 0)), 0.0)
+    assert 0.0 < evidence < 0.5 * float(residual @ residual) - 5.0 * (rows // 4)
+
+
 @pytest.mark.parametrize(("sigmas", "is_error"), [(7.0, False), (40.0, True)])
 def test_an_outlier_of_a_long_sight_is_no_gross_error_by_its_size_alone(sigmas, is_error):
     """In a hall 200 times as large, an angle off by a few standard deviations displaces its target by centimetres."""

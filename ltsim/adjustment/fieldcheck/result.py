@@ -90,6 +90,7 @@ CHECK_ITEM_KIND_BY_CAUSE_KIND: dict[str, CheckItemKind] = {
     "outlier": "gross",
     "station-bump": "bump",
     "station-drift": "drift",
+    "station-settling": "drift",
     "reference-value": "reference",
     "names": "mistake",
     "unit": "mistake",

@@ -44,6 +44,7 @@ SYSTEMATIC_CAUSE_KINDS = (
     "constant-drift",
     "scale-error",
     "orientation",
+    "station-settling",
     "reflector-radius",
     "reflector-seating",
     "centring",
@@ -54,6 +55,8 @@ MAX_MISCLOSURE_OF_USED_REFERENCE = 0.1
 may not converge with it."""
 
 
+RANGE_CONSTANT_ERROR_KINDS = ("constant-offset", "scale-error")
+"""Kinds of errors of distances that constants of an instrument cause: its range zero and the scale of its ranges."""
 DISPLACED_REFLECTOR_KINDS = ("reflector-seating", "target-moved")
 """Kinds of causes that displace the reflector at one target."""
 
@@ -158,15 +161,19 @@ class CauseSelection:
         return any(choice.hypothesis.kind == "unit" for choice in self.selected_hypotheses)
 
     @property
-    def is_range_zero_error(self) -> bool:
-        """True if the only cause is a constant on all distances of an instrument that its range zero may explain.
+    def is_range_constant_error(self) -> bool:
+        """True if the only cause is an error of all distances of an instrument that its constants may explain.
 
-        The limit is `MAX_TRACKER_ERROR`; a larger constant is that of another reflector.
+        The error is an offset (range zero) or a scale error. The limit of the displacement is `MAX_TRACKER_ERROR`; a
+        larger offset is that of another reflector, a larger scale error that of another unit.
         """
         hypotheses = [choice.hypothesis for choice in self.selected_hypotheses]
-        kinds = [(h.kind, h.acts_on, len(h.stations) == 1 or bool(h.targets)) for h in hypotheses]
-        is_constant = kinds == [("constant-offset", "distance", False)]
-        return is_constant and largest_displacement(self.fit, hypotheses[0]) < MAX_TRACKER_ERROR
+        if len(hypotheses) != 1 or hypotheses[0].acts_on != "distance":
+            return False
+        (only,) = hypotheses
+        is_everywhere = len(only.stations) != 1 and not only.targets
+        is_constant = only.kind in RANGE_CONSTANT_ERROR_KINDS and is_everywhere
+        return is_constant and largest_displacement(self.fit, only) < MAX_TRACKER_ERROR
 
     @property
     def certain_station_motions(self) -> tuple[FittedMotion, ...]:
@@ -191,22 +198,32 @@ class CauseSelection:
 
     @property
     def larger_noise_hypotheses(self) -> tuple[CauseHypothesis, ...]:
-        """Selected hypotheses if all of them are larger noise than declared and explain the misfit; otherwise empty."""
+        """Selected hypotheses if all of them are other noise than declared and some of it is larger; otherwise empty.
+
+        They are also empty if they do not explain the misfit.
+        """
         chosen = tuple(choice.hypothesis for choice in self.selected_hypotheses)
-        changes = [h.model_change for h in chosen]
-        is_noise = all(isinstance(change, NoiseFactorChange) and change.start_factor > 1.0 for change in changes)
-        return chosen if self.is_consistent and is_noise else ()
+        is_noise = all(isinstance(h.model_change, NoiseFactorChange) for h in chosen)
+        return chosen if self.is_consistent and is_noise and max(self._noise_factors) > 1.0 else ()
+
+    @property
+    def _noise_factors(self) -> list[float]:
+        """Start values of the factors on the declared noise of the selected noise hypotheses."""
+        changes = (choice.hypothesis.model_change for choice in self.selected_hypotheses)
+        return [change.start_factor for change in changes if isinstance(change, NoiseFactorChange)]
 
     @property
     def is_consistent(self) -> bool:
         """True if the selected hypotheses explain the misfit: the global test passes and all hypotheses are certain.
 
         The result is also False for set-ups in another unit or sense of rotation (the recording must be read again),
-        noise smaller than declared (outliers may then be errors of the model), larger noise with remaining outliers,
-        and wrong reference values or set-ups over marks (other tests are more specific).
+        noise smaller than declared (outliers may then be errors of the model) unless other noise is larger and no
+        outlier remains, larger noise with remaining outliers, and wrong reference values or set-ups over marks (other
+        tests are more specific).
         """
         changes = [c.hypothesis.model_change for c in self.selected_hypotheses]
-        quieter = any(isinstance(change, NoiseFactorChange) and change.start_factor < 1.0 for change in changes)
+        factors = self._noise_factors
+        quieter = min(factors, default=1.0) < 1.0 and (max(factors) <= 1.0 or bool(self.fit.is_outlier.any()))
         omitted = any(isinstance(change, ReferenceOmission) for change in changes)
         others = omitted or any(self.fit.problem.marks.mark_names)
         doubtful = quieter or others or (has_larger_noise_of_all_readings(self.fit) and bool(self.fit.is_outlier.any()))

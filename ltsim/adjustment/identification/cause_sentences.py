@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -21,9 +22,10 @@ from ltsim.adjustment.identification.nominal_offsets import offset_cause_text, s
 from ltsim.adjustment.identification.reading_shifts import ReadingShift
 from ltsim.adjustment.identification.reference_misclosures import misclosure_estimate
 from ltsim.core.arrays import Floats
-from ltsim.core.notation import names_text, with_sigma
-from ltsim.core.units import ARCSECOND, MICRORADIAN, MILLIMETRE, PPM
+from ltsim.core.notation import names_text, number_text, with_sigma
+from ltsim.core.units import ARCSECOND, MICROMETRE, MICRORADIAN, MILLIMETRE, PPM, SI_PER_UNIT
 from ltsim.physics.effects.scale_causes import temperature_errors_text
+from ltsim.physics.effects.station_settling import StationSettling
 from ltsim.physics.effects.target_moved import TargetMoved, moved_coordinates_sentence
 from ltsim.physics.laws.centring import shared_errors_sentence
 from ltsim.recordings.times import interval_text
@@ -34,8 +36,8 @@ def estimate_sigma_and_unit(
 ) -> dict[str, Any]:
     """Dictionary with the size of a shift of readings: `estimate`, `sigma` and `unit`.
 
-    The size is the parameter, or the length of the first three of p parameters: `shift_components` (p,) with the
-    covariance `covariance` (p, p) [SI].
+    The size is the parameter, or the length of the first three of p parameters (of both tilts if a station settles):
+    `shift_components` (p,) with the covariance `covariance` (p, p) [SI].
     """
     assert isinstance(hypothesis.model_change, ReadingShiftChange)
     unit, factor = ("mm", MILLIMETRE)
@@ -44,7 +46,10 @@ def estimate_sigma_and_unit(
         unit, factor = ("arcsec", ARCSECOND) if hypothesis.acts_on in ("azimuth", "elevation") else (unit, factor)
     if hypothesis.kind == "reference-scale":
         unit, factor = "ppm", PPM
-    part, spread = shift_components[:3], covariance[:3, :3]
+    n_components = 3
+    if isinstance(hypothesis.model_change.effect, StationSettling):  # two tilts; the rise is in the sentence
+        unit, factor, n_components = "urad", MICRORADIAN, 2
+    part, spread = shift_components[:n_components], covariance[:n_components, :n_components]
     estimated_size = float(part[0]) if len(part) == 1 else float(np.linalg.norm(part))
     sigma = float(np.sqrt(max(float(part @ spread @ part), 0.0))) / max(abs(estimated_size), 1e-300)
     return {"estimate": estimated_size / factor, "sigma": sigma / factor, "unit": unit}
@@ -62,14 +67,34 @@ CAUSE_PHRASE_BY_REFERENCE_KIND = {
 """First words of a sentence on a wrong reference value, by its kind; the name of the value follows them."""
 
 
-def cause_sentence(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
-    """Sentence on a selected hypothesis, with the size of the error and its usual causes."""
-    is_centring = isinstance(hypothesis.model_change, CentringChange)
-    return (_centring_sentence if is_centring else _sentence_on_other_causes)(fit, hypothesis)
+def cause_sentence(fit: NetworkFit, hypothesis: CauseHypothesis, rival_names: Sequence[str] = ()) -> str:
+    """Sentence on a selected hypothesis, with the size of the error and its usual causes.
+
+    For a wrong reference value, `rival_names` are the names of other reference values that may be wrong in its place.
+    """
+    if isinstance(hypothesis.model_change, CentringChange):
+        return _centring_sentence(fit, hypothesis)
+    if isinstance(hypothesis.model_change, ReferenceOmission):
+        return _reference_sentence(fit, hypothesis, rival_names)
+    return _sentence_on_other_causes(fit, hypothesis)
+
+
+def _reference_sentence(fit: NetworkFit, hypothesis: CauseHypothesis, rival_names: Sequence[str]) -> str:
+    """Sentence on a wrong reference value; `rival_names` as for `cause_sentence`."""
+    assert isinstance(hypothesis.model_change, ReferenceOmission)
+    estimate, sigma, unit = misclosure_estimate(fit, hypothesis).values()
+    size_text = f"{_number_text(estimate)} {unit}" if sigma is None else with_sigma(estimate, sigma, unit)
+    plural = hypothesis.model_change.reference_value.kind == "point"
+    verb, them = ("are", "them") if plural else ("is", "it")
+    words = CAUSE_PHRASE_BY_REFERENCE_KIND[hypothesis.model_change.reference_value.kind]
+    phrase = f"{words} {hypothesis.reference_name_or_sentence} {verb} off by {size_text}"
+    if rival_names:
+        return f"{phrase}, or those of {names_text(rival_names)} are wrong: check each."
+    return f"{phrase}: check {them}."
 
 
 def _sentence_on_other_causes(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
-    """Sentence on a selected hypothesis on a shift of readings, the noise, a blunder or a reference value.
+    """Sentence on a selected hypothesis on a shift of readings, the noise or a blunder.
 
     Centring errors have a separate function.
     """
@@ -78,14 +103,6 @@ def _sentence_on_other_causes(fit: NetworkFit, hypothesis: CauseHypothesis) -> s
         return hypothesis.reference_name_or_sentence
     if isinstance(hypothesis.model_change, NoiseFactorChange):
         return noise_sentence(fit, hypothesis)
-    if isinstance(hypothesis.model_change, ReferenceOmission):
-        estimate, sigma, unit = misclosure_estimate(fit, hypothesis).values()
-        size_text = f"{_number_text(estimate)} {unit}" if sigma is None else with_sigma(estimate, sigma, unit)
-        plural = hypothesis.model_change.reference_value.kind == "point"
-        verb, them = ("are", "them") if plural else ("is", "it")
-        words = CAUSE_PHRASE_BY_REFERENCE_KIND[hypothesis.model_change.reference_value.kind]
-        phrase = f"{words} {hypothesis.reference_name_or_sentence}"
-        return f"{phrase} {verb} off by {size_text}: check {them}."
     assert isinstance(hypothesis.model_change, ReadingShiftChange)
     values, covariance = fit.estimate_and_covariance(hypothesis)
     estimate = estimate_sigma_and_unit(hypothesis, values, covariance)
@@ -113,6 +130,13 @@ def _sentence_on_other_causes(fit: NetworkFit, hypothesis: CauseHypothesis) -> s
         )
     if hypothesis.kind == "station-drift":
         return f"Station {place_names} moved at a constant rate during its occupation, by {size_text} in total."
+    if isinstance(effect, StationSettling):
+        rise_text = with_sigma(values[2] / MICROMETRE, float(np.sqrt(covariance[2, 2])) / MICROMETRE, "um")
+        return (
+            f"Station {place_names} settled after its set-up with a time constant of "
+            f"{number_text(effect.time_constant / SI_PER_UNIT['min'], 2)} min: it tilted by {size_text} and rose by "
+            f"{rise_text} in total."
+        )
     interval = _interval_text(fit, hypothesis)
     if hypothesis.kind == "orientation":
         return f"The horizontal circle of {place_names} was turned by {size_text} {interval}."
@@ -166,9 +190,13 @@ OBSERVABLE_CAUSE_TEXTS = {
     ("constant-drift", "distance", "station"): "a drift of the range zero",
     ("constant-drift", "elevation", "station"): "a drift of the vertical index",
     ("constant-drift", "azimuth", "station"): "the horizontal circle or the tripod head turns",
-    ("scale-error", "distance", "station"): "a wrong atmospheric correction or unit at this set-up",
+    ("scale-error", "distance", "station"): "a wrong atmospheric correction or unit",
+    ("scale-error", "distance", "all stations"): (
+        "a wrong atmospheric correction or unit, or another temperature of the object with the reference values"
+    ),
 }
-"""Text on the usual cause of a shift of one observable, by kind of the error, observable, and `station` or `target`."""
+"""Text on the usual cause of a shift of one observable, by kind of the error, observable, and place: `station`,
+`target` or `all stations`; for `all stations` without text the text for `station` applies."""
 
 
 def _observable_sentence(fit: NetworkFit, hypothesis: CauseHypothesis, estimate: dict[str, Any]) -> str:
@@ -178,7 +206,10 @@ def _observable_sentence(fit: NetworkFit, hypothesis: CauseHypothesis, estimate:
     """
     place_names = ", ".join((*hypothesis.stations, *hypothesis.targets))
     place, link = ("target", "to") if hypothesis.targets else ("station", "from")
+    is_everywhere = not hypothesis.stations and not hypothesis.targets
     cause = OBSERVABLE_CAUSE_TEXTS[hypothesis.kind, hypothesis.acts_on, place]
+    if is_everywhere:
+        cause = OBSERVABLE_CAUSE_TEXTS.get((hypothesis.kind, hypothesis.acts_on, "all stations"), cause)
     what, number = f"The {hypothesis.acts_on}s {link} {place_names or 'all stations'}", estimate["estimate"]
     change_text, size_text = (with_sigma(x, estimate["sigma"], estimate["unit"]) for x in (number, abs(number)))
     if hypothesis.kind == "constant-step":
@@ -201,7 +232,7 @@ def _observable_sentence(fit: NetworkFit, hypothesis: CauseHypothesis, estimate:
         values, covariance = fit.estimate_and_covariance(hypothesis)
         cause = offset_cause_text(float(values[0]), float(np.sqrt(covariance[0, 0]))) or cause
     if hypothesis.kind == "scale-error":
-        cause += f" ({temperature_errors_text(number * PPM, is_of_distances=True)})"
+        cause += f" ({temperature_errors_text(number * PPM, is_of_distances=not is_everywhere)})"
     return f"{what} are {size_text} too {'long' if number > 0 else 'short'}: {cause}."
 
 

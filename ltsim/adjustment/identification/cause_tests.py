@@ -140,6 +140,11 @@ def _test_of_selected_hypothesis(fit: NetworkFit, selected_hypothesis: SelectedH
         for (other, _), s in zip(selected_hypothesis.alternatives, share[1:-1], strict=True)
         if s > MIN_REPORTED_PROBABILITY
     )
+    rival_names = [
+        other.reference_name_or_sentence
+        for (other, _), s in zip(selected_hypothesis.alternatives, share[1:-1], strict=True)
+        if s > MIN_REPORTED_PROBABILITY and isinstance(other.model_change, ReferenceOmission)
+    ]
     return CauseTest(
         kind=reported_kind(fit, h),
         acts_on=h.acts_on,
@@ -150,7 +155,7 @@ def _test_of_selected_hypothesis(fit: NetworkFit, selected_hypothesis: SelectedH
         rows=rows if len(rows) <= MAX_LISTED_OUTLIERS else (),
         probability=share[0],
         alternatives=alternatives,
-        sentence=cause_sentence(fit, h),
+        sentence=cause_sentence(fit, h, rival_names),
         **size_entries,
     )
 

@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ltsim.adjustment.identification.equal_displacements import common_displacement_length
 from ltsim.adjustment.identification.evidence import (
     LOG_PRIOR_ODDS_OF_CENTRING,
     log_occam_factor_of_shift,
@@ -56,6 +57,8 @@ class _CentringPlace:
     """Declaration of the centring errors, with their stations and targets and a provisional standard deviation."""
     occupation_indices: Ints
     """Index (n,) of the occupation to which each of n pointings belongs; -1 for pointings that are not tested."""
+    requires_common_length: bool = False
+    """True for a set-up without repeated pointings, where only displacements of one length are tested."""
 
 
 def centring_hypotheses(fit: NetworkFit, residual_space: ResidualSpace) -> list[tuple[float, CauseHypothesis]]:
@@ -64,7 +67,11 @@ def centring_hypotheses(fit: NetworkFit, residual_space: ResidualSpace) -> list[
     `residual_space` contains the whitened residuals of the fit, and the projection of design columns off all its
     unknowns.
     """
-    places = _centring_places(fit.recording, residual_space.is_used_reading)
+    places = [
+        place
+        for place in _centring_places(fit.recording, residual_space.is_used_reading)
+        if not place.requires_common_length
+    ]
     squares = np.zeros(residual_space.is_used_reading.shape)
     squares[residual_space.is_used_reading] = (
         residual_space.whitened_residuals[: int(residual_space.is_used_reading.sum())] ** 2
@@ -92,7 +99,8 @@ def _log_evidence_gain_and_hypothesis(
     displacements, and `n_places` the number of set-ups and targets that share the prior probability.
     """
     centring, prior = place.centring_uncertainty, log_prior_of_kind("centring", n_places) + LOG_PRIOR_ODDS_OF_CENTRING
-    change = CentringChange(centring.model_copy(update={"sigma_mm": sigma / MILLIMETRE}))
+    new_sigma = centring.model_copy(update={"sigma_mm": sigma / MILLIMETRE})
+    change = CentringChange(new_sigma, place.requires_common_length)
     targets = () if len(centring.targets) > 1 else centring.targets
     return log_likelihood_ratio + prior, CauseHypothesis(
         "centring", "position", centring.stations, targets, prior, change
@@ -157,6 +165,13 @@ def _local_log_evidence_gain_and_sigma(fit: NetworkFit, place: _CentringPlace, r
     strength = np.linalg.eigvalsh(normal).clip(0.0)
     determinant = float(np.mean(np.log1p(variance * strength)))
     gain = saved - 0.5 * components * (1.0 + determinant) + float(log_occam_factor_of_variance(components))
+    common = None
+    if place.centring_uncertainty.stations:
+        common = common_displacement_length(displacement, sightings.sight_vectors[rows[first]])
+    if common is not None:
+        gain += common.log_evidence_gain + common.log_prior_ratio
+    if place.requires_common_length and (common is None or not common.is_smr_exchange):
+        gain = -np.inf
     return gain, float(np.sqrt(variance))
 
 
@@ -170,9 +185,9 @@ def _negative_log_evidence(fit: NetworkFit, whitened_residuals: Floats) -> float
 def _centring_places(recording: Recording, is_used_reading: Bools) -> list[_CentringPlace]:
     """Set-ups, targets, and all set-ups together, if they have enough repeated pointings for a test of centring errors.
 
-    Targets that only one set-up measures are left out, because they do not show displacements. For all set-ups together
-    the repeated pointings must be in one face; otherwise displacements would fit any unmodelled error that is equal in
-    both faces.
+    Set-ups without repeated pointings are included too, for a test of displacements of one length. Targets that only
+    one set-up measures are left out, because they do not show displacements. For all set-ups together the repeated
+    pointings must be in one face; otherwise displacements would fit any unmodelled error that is equal in both faces.
     """
     is_used = np.asarray(is_used_reading.any(axis=1))
     target_station_pairs = np.unique(np.stack([recording.target[is_used], recording.station[is_used]]), axis=1)
@@ -185,8 +200,9 @@ def _centring_places(recording: Recording, is_used_reading: Bools) -> list[_Cent
         occupation = np.where(is_used, target_occupations(recording, centring), -1)
         visit = np.stack([occupation, recording.face * (not centring.stations and len(centring.targets) > 1)])
         count = len(np.unique(visit[:, occupation >= 0], axis=1).T)
-        if count >= MIN_REPEATS_FOR_VARIANCE and (occupation >= 0).sum() >= MIN_MEAN_REPEATS * count:
-            places.append(_CentringPlace(centring, occupation))
+        is_repeated = (occupation >= 0).sum() >= MIN_MEAN_REPEATS * count
+        if count >= MIN_REPEATS_FOR_VARIANCE and (is_repeated or centring.stations):
+            places.append(_CentringPlace(centring, occupation, requires_common_length=not is_repeated))
     return places
 
 

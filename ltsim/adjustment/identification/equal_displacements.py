@@ -6,6 +6,13 @@ the log likelihood ratio of such displacements against random ones with the stan
 component is
 
     k [1 + log(L / (6 sqrt(3) t))].
+
+Nests face the instrument more often than not. With the mean cosine c between the normals and the directions to the
+set-up, a Fisher distribution of concentration K, coth K - 1/K = c, adds k [log(K / sinh K) + K c].
+
+References
+----------
+Banerjee et al., Clustering on the unit hypersphere, J. Mach. Learn. Res. 6 (2005) 1345, eq. 4.4: approximation of K.
 """
 
 from __future__ import annotations
@@ -14,7 +21,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ltsim.adjustment.identification.evidence import log_occam_factor_of_variance
+from ltsim.adjustment.identification.evidence import (
+    LOG_PRIOR_ODDS_OF_CENTRING,
+    log_occam_factor_of_variance,
+    log_prior_of_kind,
+)
+from ltsim.adjustment.identification.nominal_offsets import smr_exchange_text
 from ltsim.core.arrays import Floats
 from ltsim.core.rounding import SQRT_MACHINE_EPSILON
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
@@ -40,6 +52,23 @@ class CommonDisplacementLength(NamedTuple):
     """Standard deviation of the length [m]."""
     log_evidence_gain: float
     """Gain of log evidence against displacements of random lengths, at least 0."""
+
+    @property
+    def is_smr_exchange(self) -> bool:
+        """True if the length is the difference of the radii of two common SMRs."""
+        return bool(smr_exchange_text(self.length, self.length_sigma))
+
+    @property
+    def log_prior_ratio(self) -> float:
+        """Logarithm of the prior odds of another SMR against centring errors at the same set-up.
+
+        It is 0 unless the length is a difference of the radii of common SMRs: unmodelled errors, for which centring
+        errors have small prior odds, do not cause displacements of such a length.
+        """
+        if not self.is_smr_exchange:
+            return 0.0
+        same_place = log_prior_of_kind("reflector-radius", 1) - log_prior_of_kind("centring", 1)
+        return same_place - LOG_PRIOR_ODDS_OF_CENTRING
 
 
 def common_displacement_length(displacements: Floats, sight_vectors: Floats) -> CommonDisplacementLength | None:
@@ -70,8 +99,25 @@ def common_displacement_length(displacements: Floats, sight_vectors: Floats) -> 
     rms = float(np.sqrt(np.mean(np.sum(displacements**2, axis=1))))
     if not 0.0 < length < MAX_COMMON_TO_RMS_LENGTH_RATIO * rms or scatter > MAX_RELATIVE_LENGTH_SCATTER * rms:
         return None
-    is_away_from_nests = float(np.sum(corrected * sight_vectors)) < 0.0
+    mean_cosine = -float(
+        np.mean(np.sum(corrected * sight_vectors, axis=1) / (size * np.linalg.norm(sight_vectors, axis=1)))
+    )
+    is_away_from_nests = mean_cosine > 0.0
     sigma = scatter * float(np.sqrt(np.linalg.pinv(design.T @ design)[6, 6]))
     gain = n_redundant * (1.0 + float(np.log(length / (6.0 * np.sqrt(3.0) * max(scatter, 1e-300)))))
     gain += float(log_occam_factor_of_variance(n_redundant))
+    gain += max(_log_evidence_gain_of_facing_nests(abs(mean_cosine), len(displacements)), 0.0)
     return CommonDisplacementLength(length if is_away_from_nests else -length, sigma, max(gain, 0.0))
+
+
+def _log_evidence_gain_of_facing_nests(mean_cosine: float, n_targets: int) -> float:
+    """Gain of log evidence by a Fisher distribution of the normals about the directions to the set-up.
+
+    `mean_cosine` is the mean cosine between both directions, from 0 to 1, at `n_targets` targets.
+    """
+    concentration = mean_cosine * (3.0 - mean_cosine**2) / max(1.0 - mean_cosine**2, SQRT_MACHINE_EPSILON)
+    if concentration < SQRT_MACHINE_EPSILON:
+        return 0.0
+    log_sinh = concentration + float(np.log(-0.5 * np.expm1(-2.0 * concentration)))
+    per_target = float(np.log(concentration)) - log_sinh + concentration * mean_cosine
+    return n_targets * per_target + float(log_occam_factor_of_variance(n_targets))

@@ -27,6 +27,7 @@ from ltsim.adjustment.identification.hypothesis import (
 from ltsim.adjustment.identification.model_changes import (
     apply_corrections_and_omissions,
     hypothesis_with_centring_sigma,
+    solve_without_outliers,
     start_parameter_values,
     subtract_shifts,
 )
@@ -152,7 +153,7 @@ class NetworkFit:
             start = robust_state or fit_robust_state(problem, resect_contradicted_setups(problem, start_state))[0]
             start_state = resect_contradicted_setups(problem, start)
         full_problem = drop_undetermined_targets(problem, start_state)
-        fit = cls(fit_input, hypotheses, full_problem, *snoop_readings(full_problem, start_state, MAX_DECISION_CHANGES))
+        fit = cls(fit_input, hypotheses, full_problem, *solve_without_outliers(full_problem, start_state, hypotheses))
         if any(isinstance(h.model_change, NoiseFactorChange) for h in hypotheses):
             fit = fit._with_estimated_noise()
         return fit
@@ -379,9 +380,8 @@ class NetworkFit:
         """Log Occam factor of a hypothesis, for changed noise including the log determinant of the changed weights."""
         change = hypothesis.model_change
         if isinstance(change, ReadingShiftChange):
-            return float(
-                log_occam_factor_of_shift(self.estimate_length_in_sigmas(hypothesis), len(change.effect.parameters))
-            )
+            length = self.estimate_length_in_sigmas(hypothesis)
+            return float(log_occam_factor_of_shift(length, len(change.effect.parameters)))
         if isinstance(change, NoiseFactorChange):
             chosen = change.reading_mask & self.problem.is_used_reading
             ratio = self.problem.reading_sigmas[chosen] / self.fit_input.recording.reading_sigmas()[chosen]
@@ -389,10 +389,11 @@ class NetworkFit:
             return float(log_occam_factor_of_variance(redundancy.sum()) - np.sum(redundancy * np.log(ratio)))
         if isinstance(change, CentringChange):
             common = self.common_displacement_length(hypothesis)
-            occam_factor = log_occam_factor_of_centring(
-                self.estimate_and_covariance(hypothesis)[1], change.centring_uncertainty.sigma_mm * MILLIMETRE
-            )
-            return occam_factor + (common.log_evidence_gain if common is not None else 0.0)
+            if change.requires_common_length and (common is None or not common.is_smr_exchange):
+                return -np.inf
+            covariance = self.estimate_and_covariance(hypothesis)[1]
+            occam_factor = log_occam_factor_of_centring(covariance, change.centring_uncertainty.sigma_mm * MILLIMETRE)
+            return occam_factor + (0.0 if common is None else common.log_evidence_gain + common.log_prior_ratio)
         if isinstance(change, ReferenceOmission):
             value = change.reference_value
             in_sigmas = self.misclosure_of(value) / np.where(value.declared_sigmas > 0, value.declared_sigmas, np.inf)

@@ -19,6 +19,7 @@ CauseKind = Literal[
     "target-moved",
     "station-bump",
     "station-drift",
+    "station-settling",
     "orientation",
     "reflector-radius",
     "reflector-seating",
@@ -89,6 +90,9 @@ class CentringChange:
 
     centring_uncertainty: CentringUncertainty
     """Stations and targets with centring errors, and the standard deviation of the displacements."""
+    requires_common_length: bool = False
+    """True if the change is possible only with displacements of one length: another SMR at a set-up. Without repeated
+    pointings displacements of random lengths explain any readings."""
 
 
 ModelChange = (
@@ -129,7 +133,10 @@ class CauseHypothesis:
     def competes_with(self, rival: CauseHypothesis) -> bool:
         """True if this hypothesis and `rival` may explain the same readings.
 
-        This is possible if the hypotheses share a station or target, or if one of them acts on the whole recording.
+        This is possible if the hypotheses share a station or target, if one of them acts on the whole recording, or if both are wrong
+        reference values: each value is tested by the others.
         """
+        if all(isinstance(h.model_change, ReferenceOmission) for h in (self, rival)):
+            return True
         places = [(*h.stations, *h.targets) for h in (self, rival)]
         return not all(places) or not set(places[0]).isdisjoint(places[1])

@@ -40,6 +40,7 @@ from ltsim.physics.effects.motions import station_motion_design
 from ltsim.physics.effects.nest_lift import NestLift
 from ltsim.physics.effects.smr_offset import SmrOffset
 from ltsim.physics.effects.station_bump import StationBump
+from ltsim.physics.effects.station_settling import StationSettling
 from ltsim.physics.effects.target_moved import TargetMoved
 from ltsim.physics.laws.law import MAX_CANDIDATE_SWITCH_EDGES
 from ltsim.recordings.recording import OBSERVABLES, Recording
@@ -87,6 +88,8 @@ class ShiftFamily:
     acts from the first pointing on."""
     drift_interval: Literal["occupation", "recording"] | None = None
     """Interval in which the shift grows at a constant rate from zero; None for other shifts."""
+    time_constant: float | None = None
+    """Time constant [s] with which the station settles; None for other shifts."""
 
     def candidate_onset_times(self, sightings: Sightings, rows: Ints) -> list[float]:
         """Times [s] at which a shift may begin at a station or target.
@@ -120,6 +123,8 @@ class ShiftFamily:
             return StationBump(stations, targets, time=onset_time)
         if self.kind == "station-drift":
             return UniformMotion(stations, targets)
+        if self.time_constant is not None:
+            return StationSettling(stations, targets, time_constant=self.time_constant)
         if self.kind == "target-moved":
             return TargetMoved(stations, targets, time=onset_time)
         if self.kind == "reflector-radius":
@@ -193,7 +198,9 @@ def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
             ]
             design = np.sum([0.0 * distance, *drifts], axis=0)
             yield ShiftFamily("constant-drift", observable, "instrument", design, drift_interval=interval)
-        yield ShiftFamily("scale-error", "distance", "station", distance * sightings.range_[:, None, None])
+        scale = distance * sightings.range_[:, None, None]
+        yield ShiftFamily("scale-error", "distance", "station", scale)
+        yield ShiftFamily("scale-error", "distance", "instrument", scale)
         yield ShiftFamily("constant-offset", "distance", "target", distance)
         yield ShiftFamily(
             "target-moved", "position", "target", sightings.target_derivatives, min_pointings_around_onset=1
@@ -205,6 +212,9 @@ def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
     yield ShiftFamily("orientation", "azimuth", "station", azimuth, min_pointings_around_onset=MIN_POINTS_FOR_POSE)
     yield ShiftFamily("station-bump", "position", "station", motion, min_pointings_around_onset=MIN_POINTS_FOR_POSE)
     yield ShiftFamily("station-drift", "position", "station", UniformMotion().design(sightings))
+    for time_constant in StationSettling.shape_parameters[0].grid_values().tolist():
+        design = StationSettling(time_constant=time_constant).design(sightings)
+        yield ShiftFamily("station-settling", "position", "station", design, time_constant=time_constant)
 
 
 @dataclass(frozen=True)
@@ -345,7 +355,7 @@ def reference_point_exchanges(recording: Recording) -> list[CauseHypothesis]:
     ):
         return []
     first, second = (names[i] for i in pairs[best_index])
-    sentence = f"The reference coordinates of {first} and {second} are exchanged: correct their names."
+    sentence = f"The reference coordinates of {first} and {second}, or the names of these targets, are exchanged."
     prior = log_prior_of_kind("names", len(pairs))
     return [
         CauseHypothesis("names", "point", (), (first, second), prior, CoordinateExchange((first, second)), sentence)

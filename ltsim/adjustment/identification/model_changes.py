@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ltsim.adjustment.datum import solution_near_excluded_points
 from ltsim.adjustment.identification.hypothesis import (
     CauseHypothesis,
     CentringChange,
@@ -13,11 +14,15 @@ from ltsim.adjustment.identification.hypothesis import (
     ReferenceOmission,
     RowCorrection,
 )
+from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reference_values import drop_reference, exchange_coordinates
+from ltsim.adjustment.snooping import snoop_readings
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MILLIMETRE
+from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.scene.sightings import Sightings
+from ltsim.solve.gauss_newton import MAX_DECISION_CHANGES, Solution
 
 CENTRING_SIGMA_TOLERANCE = 0.15
 """Relative change of the standard deviation of centring errors, above which a network fit is repeated. An estimate from
@@ -87,6 +92,15 @@ def apply_corrections_and_omissions(recording: Recording, hypotheses: Sequence[C
     return recording
 
 
+def solve_without_outliers(
+    problem: NetworkProblem, start_state: NetworkState, hypotheses: Sequence[CauseHypothesis]
+) -> tuple[NetworkProblem, Solution[NetworkState]]:
+    """Problem without outliers among the readings, and its solution, as near as possible to excluded points."""
+    problem, solution = snoop_readings(problem, start_state, MAX_DECISION_CHANGES)
+    excluded = [h.model_change.reference_value for h in hypotheses if isinstance(h.model_change, ReferenceOmission)]
+    return problem, solution_near_excluded_points(problem, solution, excluded)
+
+
 def hypothesis_with_centring_sigma(
     hypothesis: CauseHypothesis, estimate_function: Callable[[CauseHypothesis], tuple[Floats, Floats]]
 ) -> CauseHypothesis:
@@ -110,4 +124,4 @@ def hypothesis_with_centring_sigma(
     centring = change.centring_uncertainty.model_copy(
         update={"sigma_mm": max(factor, 1e-3) * change.centring_uncertainty.sigma_mm}
     )
-    return replace(hypothesis, model_change=CentringChange(centring))
+    return replace(hypothesis, model_change=replace(change, centring_uncertainty=centring))

@@ -19,6 +19,7 @@ RECOMMENDATION_BY_CAUSE_KIND = {
     "target-moved": "Inspect the nest of {place}, and measure this target again from all set-ups.",
     "station-bump": "Check the tripod of {place}, and measure this set-up again.",
     "station-drift": "Let the tripod of {place} settle, and measure this set-up again.",
+    "station-settling": "Let the tripod of {place} settle, and measure this set-up again.",
     "orientation": "Check the clamping of the tracker at {place}, and measure this set-up again.",
     "reflector-seating": "Clean the nest, seat the reflector again, and measure again {rows}.",
     "reflector-radius": "Check the SMR at {place}, and declare its radius.",
@@ -33,6 +34,12 @@ RECOMMENDATION_BY_CAUSE_KIND = {
 `at_place` by these names after the word "at", `setups` by the set-ups to measure again, `rows` by the pointing with its
 row number.
 """
+EXCHANGED_NAMES_RECOMMENDATION = "Exchange the names {targets} at {stations} in the recording."
+"""Sentence on the next action after the exchange of two targets in the pointings of some set-ups."""
+EXCHANGED_COORDINATES_RECOMMENDATION = (
+    "Exchange the reference coordinates of {targets} in their source, or the names of both targets in the recording."
+)
+"""Sentence on the next action after the exchange of two reference points, which all set-ups measured."""
 VERTICAL_INDEX_RECOMMENDATION = (
     "Determine the vertical index of the tracker, and measure {place} again in both faces: their mean is free of the "
     "index."
@@ -69,6 +76,9 @@ def recommendation_at_place(
     `rows` are the row numbers, from 1, of the affected pointings. `concerns_vertical_index` is True for an offset or
     step of elevations.
     """
+    if cause_kind == "names" and len(targets) == 2:
+        sentence = EXCHANGED_NAMES_RECOMMENDATION if stations else EXCHANGED_COORDINATES_RECOMMENDATION
+        return sentence.format(targets=names_text(sorted(targets)), stations=names_text(stations))
     names = (*stations, *targets)
     place = names_text(names, len(names)) if names else "the set-ups"
     action = VERTICAL_INDEX_RECOMMENDATION if concerns_vertical_index else RECOMMENDATION_BY_CAUSE_KIND.get(cause_kind)

@@ -30,7 +30,13 @@ from ltsim.adjustment.identification.hypothesis_library import (
     omissions_of_reference_values,
     reference_point_exchanges,
 )
-from ltsim.adjustment.identification.motion_refinement import fit_or_none, join_displacements, refine_motion_time
+from ltsim.adjustment.identification.motion_refinement import (
+    fit_or_none,
+    join_displacements,
+    join_reference_errors,
+    refine_motion_time,
+    refine_time_constant,
+)
 from ltsim.adjustment.identification.reading_shifts import ReadingShift
 from ltsim.adjustment.identification.screening import MAX_FITTED_HYPOTHESES, screened_hypotheses
 from ltsim.adjustment.prior import ParameterPrior
@@ -145,7 +151,8 @@ def _forward_step(state: CauseSelectionState) -> CauseSelectionState | None:
     needed = state.min_gain if not has_larger_noise_of_all_readings(fit) else -LOG_PRIOR_ODDS_OF_CENTRING
     if not trial_fits or trial_fits[0][1].log_evidence < fit.log_evidence + needed:
         return None
-    best = join_displacements(refine_motion_time(trial_fits[0][1]))
+    best = refine_time_constant(refine_motion_time(trial_fits[0][1]))
+    best = join_reference_errors(join_displacements(best))
     if isinstance(trial_fits[0][0].model_change, CentringChange):
         best = max(best, _fit_with_other_causes(fit, needed, best), key=lambda made: made.log_evidence)
     return replace(state, fit=best, fit_before_trial_fits=fit, trial_fits=trial_fits)

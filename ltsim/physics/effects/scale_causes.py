@@ -1,5 +1,6 @@
 """Errors of temperature that explain a difference of scale, as a reason for users to check temperatures."""
 
+from ltsim.core.notation import number_text
 from ltsim.core.units import PPM
 from ltsim.physics.effects.rays import relative_index_decrease_per_kelvin
 
@@ -12,8 +13,9 @@ def temperature_errors_text(scale: float, *, is_of_distances: bool = False) -> s
 
     With `is_of_distances` only the air is a possible cause, otherwise also the temperature of reference lengths.
     """
-    air = f"an air temperature that is wrong by {abs(scale) / relative_index_decrease_per_kelvin():.2g} K"
+    air = f"an air temperature that is wrong by {number_text(abs(scale) / relative_index_decrease_per_kelvin(), 2)} K"
     if is_of_distances:
         return f"{air} causes such a scale error"
-    steel = f"a temperature of steel lengths that is wrong by {abs(scale) / STEEL_EXPANSION_PER_KELVIN:.2g} K"
+    steel_error_k = abs(scale) / STEEL_EXPANSION_PER_KELVIN
+    steel = f"a temperature of steel lengths that is wrong by {number_text(steel_error_k, 2)} K"
     return f"{steel}, or {air}, causes such a difference"

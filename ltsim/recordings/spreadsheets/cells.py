@@ -1,7 +1,7 @@
 """Parsers for the text of one cell: numbers, angles in degrees, minutes and seconds, faces, dates and times."""
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from datetime import datetime, timedelta
 from decimal import Decimal
 from functools import partial
@@ -211,6 +211,11 @@ def plain_numbers(texts: Sequence[str]) -> Floats | None:
         return np.array([float(text or "nan") for text in texts], dtype=np.float64)
     except ValueError:
         return None
+
+
+def exact_numbers(texts: Sequence[str], thousands_separators: Sequence[str]) -> Iterator[Decimal | None]:
+    """Exact values of the numbers in cells, each with its thousands separator; None for other cells and for times."""
+    return map(parse_number_or_angle_unless_time, texts, thousands_separators)
 
 
 def parse_number_or_angle(text: str, thousands_separator: str = "") -> Decimal | None:

@@ -137,6 +137,6 @@ def _numbers_and_unit(table: PointingTable, title: str) -> tuple[Floats, float, 
     A cell without a number gives NaN.
     """
     texts, unit = cells.split_common_unit(table.pointings.additional_cell_texts(title))
-    numbers = [*map(cells.parse_number_or_angle, texts, table.pointings.thousands_separator)]
+    numbers = [*cells.exact_numbers(texts, table.pointings.thousands_separator)]
     last_digit = min((int(number.as_tuple().exponent) for number in numbers if number is not None), default=0)
     return np.array([NOT_MEASURED if x is None else float(x) for x in numbers]), 10.0**last_digit, unit

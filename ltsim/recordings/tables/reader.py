@@ -282,9 +282,9 @@ def _covariate_values(
     column_numbers = cells.plain_numbers(bare_texts) if not any(pointings.thousands_separator) else None
     if column_numbers is None:
         column_numbers = np.full(len(texts), NOT_MEASURED)
-        for i, (text, thousands_separator) in enumerate(zip(bare_texts, pointings.thousands_separator, strict=True)):
+        numbers = cells.exact_numbers(bare_texts, pointings.thousands_separator)
+        for i, (text, number) in enumerate(zip(bare_texts, numbers, strict=True)):
             if text and text not in cells.MISSING_VALUE_TEXTS:
-                number = cells.parse_number_or_angle_unless_time(text, thousands_separator)
                 if number is None and column.role in HEIGHT_COLUMNS:
                     message = f"found '{safe_excerpt(texts[i])}', expected a height, with the same unit in all cells"
                     raise pointings.source_location(i).error(message, safe_excerpt(column.title))

@@ -271,7 +271,10 @@ def _reference_value_blocks(content: Calibration) -> list[TableBlock]:
     note = "Residual: declared minus adjusted value. Error: estimate from all other observations, +- one sigma."
     if not content.constants_included and {"length", "point"} & {entry.kind for entry in content.reference_values}:
         note += " Reference values are tested in a fit that also estimates the instrument's constants."
-    sorted_values = sorted(content.reference_values, key=lambda entry: (not entry.excluded, -entry.w))
+    largest_w: dict[tuple[str, str], float] = {}
+    for entry in content.reference_values:
+        largest_w[entry.kind, entry.name] = max(largest_w.get((entry.kind, entry.name), 0.0), entry.w)
+    sorted_values = sorted(content.reference_values, key=lambda e: (not e.excluded, -largest_w[e.kind, e.name]))
     fields = ("kind", "name", "component", "residual", "error+-sigma_error", "minimal_detectable_error=detectable")
     return entries_table_blocks(
         "Fit of the reference values", sorted_values, *fields, "unit", "redundancy", "w", "excluded", note=note

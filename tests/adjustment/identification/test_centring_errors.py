@@ -18,6 +18,7 @@ from ltsim.recordings.centring_errors import CentringUncertainty
 from ltsim.recordings.native import read_recording, write_recording
 from ltsim.recordings.occupations import target_occupations
 from ltsim.recordings.recording import Recording
+from tests.families import family
 from tests.networks import network
 
 STATION = "S2"
@@ -69,6 +70,24 @@ def test_another_reflector_in_every_nest_of_a_set_up(length_mm: float, cause: st
     assert selection.requires_adjustment_with_causes
     error = selection.fit.state.target_points - adjust(hall()[0]).state.target_points
     assert np.sqrt(np.mean(error**2)) < 20e-6
+
+
+@pytest.mark.parametrize("length_mm", [7.9375, *family([-12.7])])
+def test_another_reflector_in_every_nest_of_a_set_up_without_repeated_pointings(length_mm: float) -> None:
+    """Without repeats, it was reported as scale errors and noise of the set-up and as heights of single targets."""
+    recording = displaced(1e-3 * length_mm * hall()[1])
+    selection = identified(recording.select(recording.face == 1))
+    (test,) = (t for t in cause_tests(selection) if t.kind != "outlier")
+    assert (test.kind, test.where.stations, test.where.targets) == ("reflector-radius", (STATION,), ())
+    assert test.estimate == pytest.approx(-length_mm, abs=0.05)
+    assert selection.requires_adjustment_with_causes
+
+
+def test_random_displacements_are_no_cause_without_repeated_pointings() -> None:
+    displacement = 8e-3 * random_stream(5, "centring").standard_normal(hall()[1].shape)
+    recording = displaced(displacement)
+    selection = identified(recording.select(recording.face == 1))
+    assert not {c.hypothesis.kind for c in selection.selected_hypotheses} & {"centring", "reflector-radius"}
 
 
 @pytest.mark.parametrize("sigma_mm", [0.1, 2.0])

@@ -18,6 +18,7 @@ from ltsim.core.units import ARCSECOND
 from ltsim.physics.effects.motions import reading_change_by_displacement
 from ltsim.recordings.recording import Recording
 from ltsim.reports.sections import result_section
+from tests.families import family
 from tests.networks import mesh, network
 
 Place = tuple[tuple[str, ...], tuple[str, ...]]
@@ -81,6 +82,11 @@ def badly_seated_reflector_in_one_face(size: float) -> tuple[Recording, Place]:
 
 def ball_at_all_stations(size: float) -> tuple[Recording, Place]:
     return longer(np.arange(len(workshop())), offset=size), ((), ())
+
+
+def scale_at_all_stations(size: float) -> tuple[Recording, Place]:
+    """Right control points, and a scale error of all distances, of a size [m] at 5 m."""
+    return with_control_points(longer(np.arange(len(workshop())), scale=size / 5.0), 0.0), ((), ())
 
 
 def exchanged_names(size: float) -> tuple[Recording, Place]:
@@ -159,6 +165,7 @@ RUNGS = [
     pytest.param(badly_seated_reflector, 1e-3, id="badly_seated_reflector"),
     pytest.param(badly_seated_reflector_in_one_face, 1e-3, id="badly_seated_reflector_in_one_face"),
     pytest.param(ball_at_all_stations, 3e-3, id="ball_at_all_stations"),
+    pytest.param(scale_at_all_stations, 3e-3, id="scale_at_all_stations"),
     pytest.param(exchanged_names, 0.0, id="exchanged_names", marks=pytest.mark.long),
     pytest.param(exchanged_reference_points, 0.0, id="exchanged_reference_points"),
     pytest.param(changing_constant("elevation", is_drift=True), 3e-4, id="drift_of_elevation"),
@@ -313,6 +320,31 @@ def test_only_what_the_model_contains_is_called_corrected(other_cause: Cause | N
         assert count in text and all(name in text for name in corrected)
 
 
+@pytest.mark.parametrize(
+    ("name", "error_mm"),
+    [("T01", (0.3, 0.0, 0.0)), *family([("T01", (0.0, 2.0, 0.0)), ("T13", (30.0, -40.0, 0.0))], 2)],
+)
+def test_one_wrong_control_point_of_three_is_the_same_in_every_verb(name: str, error_mm: tuple[float, ...]) -> None:
+    """Without the wrong point a rotation was free: 2 mm were reported as 5 m, or the right points as wrong."""
+    recording = workshop()
+    targets = dict(recording.setup.targets)
+    for known in ("T01", "T13", "T22"):
+        place = 1e3 * mesh()[recording.targets.index(known)] + np.array(error_mm) * (known == name)
+        targets[known] = targets[known].model_copy(update={"known_mm": tuple(place.tolist()), "known_sigma_mm": 0.01})
+    recording = recording.replace(setup=recording.setup.model_copy(update={"targets": targets}))
+    sentences = [
+        sorted(item.sentence for item in lt.check(recording).items if item.kind == "reference" and not item.passed)
+    ]
+    for result in (lt.adjust(recording), lt.calibrate(recording, advise=False)):
+        assert result.adjustment is not None
+        sentences.append(sorted(test.sentence for test in result.adjustment.rejected_references))
+        (test,) = (t for t in result.tests if t.accepted and t.kind != "outlier")
+        assert name in (*test.where.targets, *(n for other in test.alternatives for n in other.where.targets))
+        assert all(n in test.sentence for other in test.alternatives for n in other.where.targets)
+        assert test.estimate < 1.1 * np.linalg.norm(error_mm) + 0.05  # type: ignore[operator]
+    assert sentences[0] and sentences[0] == sentences[1] == sentences[2]
+
+
 def test_the_error_of_a_reference_value_has_one_standard_deviation() -> None:
     recording = with_control_points(workshop(), 2.0)
     result = lt.adjust(recording)
@@ -322,6 +354,19 @@ def test_the_error_of_a_reference_value_has_one_standard_deviation() -> None:
     size, sigma = (float(text) for text in rejected.error_text.removesuffix(" mm").split(" +- "))
     assert size == pytest.approx(test.estimate, rel=2e-3)
     assert sigma == pytest.approx(test.sigma, rel=0.05)
+
+
+@pytest.mark.parametrize("cause", [exchanged_reference_points, *family([exchanged_names], 0)])
+def test_every_verb_gives_the_same_advice_on_exchanged_names(cause: Cause) -> None:
+    recording, (stations, targets) = cause(0.0)
+    results = [
+        lt.check(recording),
+        lt.adjust(recording),
+        lt.calibrate(recording, advise=False),
+        lt.diagnose(recording, held_out=False),
+    ]
+    (advice,) = {result_section(result).next_actions[0] for result in results}
+    assert all(name in advice for name in (*stations, *targets))
 
 
 def test_a_cause_without_which_no_network_fits_is_written_and_read(tmp_path: Path) -> None:
