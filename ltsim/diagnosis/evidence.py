@@ -8,8 +8,7 @@ g' P g L^1/2, and z_j the scores L^1/2 g' r along its eigenvectors. The ratio is
 also averaged over places (stations and targets), shape parameters and length scales, which penalises hypotheses with
 many of them. Noise hypotheses enter by their restricted likelihood, averaged over a grid of sizes.
 
-Sizes of arrays below: m observation equations, h hypotheses, k coefficients, and a number of trials (simulated
-recordings).
+Sizes of arrays below: m observation equations, h hypotheses, k coefficients, trials (simulated recordings).
 
 References
 ----------

@@ -77,7 +77,7 @@ class FitInput:
     construction: GeometricErrorModel
     """Geometric error model of the tracker, whose parameters are estimated."""
     prior: ParameterPrior | None = None
-    """Prior of the instrument parameters; None for the prior that `setup.toml` declares."""
+    """Prior of the instrument parameters; None for that of `setup.toml`."""
     is_usable_reading: Bools | None = None
     """Flags (n, 3), True for those readings of n pointings that a fit may use; None for all."""
 
@@ -103,8 +103,7 @@ class NetworkFit:
     ) -> tuple[list[ReferenceValueRows], int, NetworkState]:
         """Reference values with large residuals in a robust fit, number of all reference values, and state of the fit.
 
-        Large residuals exceed `MIN_SIGMAS_BEYOND_NOISE` robust standard deviations. Such a reference value would
-        distort the whole network in an adjustment.
+        Large residuals exceed `MIN_SIGMAS_BEYOND_NOISE` robust standard deviations; such a value distorts the network.
         """
         problem, start = cls._make_problem(fit_input, hypotheses)
         relaxed_problem = with_nonzero_reference_sigmas(problem, start)

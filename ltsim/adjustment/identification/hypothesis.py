@@ -133,8 +133,8 @@ class CauseHypothesis:
     def competes_with(self, rival: CauseHypothesis) -> bool:
         """True if this hypothesis and `rival` may explain the same readings.
 
-        This is possible if the hypotheses share a station or target, if one of them acts on the whole recording, or if both are wrong
-        reference values: each value is tested by the others.
+        This is possible if the hypotheses share a station or target, if one of them acts on the whole recording, or
+        if both are wrong reference values: each value is tested by the others.
         """
         if all(isinstance(h.model_change, ReferenceOmission) for h in (self, rival)):
             return True
