@@ -124,7 +124,7 @@ ACCEPT: dict[str, Any] = {
         (lambda c: c.update(groups=[]), "groups: Tuple should have at least 1 item"),
         (
             lambda c: c["specification"].update(range_limit_um=0, range_limit_um_per_m=0),
-            "0 in both range_limit_um and range_limit_um_per_m",
+            "range_limit_um and range_limit_um_per_m should not both be 0",
         ),
     ],
 )
