@@ -165,7 +165,9 @@ def masks() -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("case", masks())
 def test_a_layout_that_determines_no_pose_has_no_information(case: str) -> None:
     made, visible = survey(), masks()[case]
-    with pytest.raises(NetworkError, match="S3 measures fewer than three" if visible[2].sum() < 5 else "share more"):
+    with pytest.raises(
+        NetworkError, match="S3 measures fewer than three" if visible[2].sum() < 5 else "do not determine all poses"
+    ):
         ExpectedPrecision.from_survey(made.replace(is_visible=visible))
     reducer = LayoutScorer(made)
     out = reducer.evaluate_layouts(

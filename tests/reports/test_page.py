@@ -220,7 +220,9 @@ def test_campaign_tells_improvement_and_coverage(tmp_path: Path) -> None:
         "Over 60 trials for each of 2 combinations of factor levels (noise factor), calibration reduces"
     )
     titles = [block.title for block in content.sections[0].blocks]
-    assert {"Disagreement in distances, reduction", "Convergence of the trials", "z-scores of the parameters"} <= set(titles)
+    assert {"Disagreement in distances, reduction", "Convergence of the trials", "z-scores of the parameters"} <= set(
+        titles
+    )
     assert any(title.startswith("Coverage: network") for title in titles)
     html = page_html(content)
     assert "Seed 11." in html
