@@ -105,7 +105,7 @@ def test_names_are_as_short_as_tells_them_apart() -> None:
         ('[design]\nkind = "sobol"\ncell_count = 8\n' + RANGE + "low = 6\nhigh = 3\n", "low should be below high"),
         (LINK + '[grid]\nnoise_arcsec = [1]\n"instrument.noise.azimuth_arcsec" = [1]\n', "vary each key once"),
         ('[stop]\nmax_half_width = 0\n', "greater than 0"),
-        ('statistics = ["errors"]\n[stop]\nmax_half_width = 1\nstatistic = "z:beam-tilt"\n', "should include 'z-scores'"),
+        ('statistics = ["errors"]\n[stop]\nmax_half_width = 1\nstatistic = "z:beam-tilt"\n', "include 'z-scores'"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_varied_is_one_sentence(text: str, says: str, tmp_path: Path) -> None:

@@ -106,5 +106,5 @@ def test_a_bench_test_comes_back_from_its_file(tmp_path) -> None:  # type: ignor
 
 
 def test_a_bench_test_of_unequal_columns_is_refused() -> None:
-    with pytest.raises(ValueError, match="9 angles, 2 errors and 9 sigmas"):
+    with pytest.raises(ValueError, match="9 values of angle_deg, 2 of error_um and 9 of sigma_um"):
         BenchTest.model_validate(bench().model_dump() | {"error_um": (1.0, 2.0)})
