@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.reference_tests import length_sigma
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import with_sigma
 from ltsim.core.units import MICROMETRE, MICRORADIAN
@@ -91,5 +92,4 @@ def motion_sentences(adjustment: Adjustment) -> Iterator[tuple[FittedMotion, str
 
 def _length_text(vector: Floats, covariance: Floats, unit: str) -> str:
     """Length of a vector (3,) with its standard deviation (from `covariance` (3, 3)) and unit, as text."""
-    vector_length = float(np.linalg.norm(vector))
-    return with_sigma(vector_length, float(np.sqrt(vector @ covariance @ vector)) / max(vector_length, 1e-30), unit)
+    return with_sigma(float(np.linalg.norm(vector)), length_sigma(vector, covariance), unit)

@@ -17,6 +17,19 @@ from ltsim.cli.options import (
     split_names,
 )
 
+RobustOption = Annotated[
+    bool,
+    typer.Option(
+        "--robust", help="True to exclude outlying readings; each excluded reading is tested again at the end."
+    ),
+]
+NoiseFromDataOption = Annotated[
+    bool,
+    typer.Option(
+        "--noise-from-data", help="True to estimate the noise of each observable and instrument from the residuals."
+    ),
+]
+
 
 @dataclass(frozen=True)
 class CheckOptions(FunctionOptions):
@@ -36,18 +49,8 @@ class CheckOptions(FunctionOptions):
 class AdjustOptions(FunctionOptions):
     """Command-line options that become keyword arguments of the Python function `lt.adjust`."""
 
-    robust: Annotated[
-        bool,
-        typer.Option(
-            "--robust", help="True to exclude outlying readings; each excluded reading is tested again at the end."
-        ),
-    ] = False
-    noise_from_data: Annotated[
-        bool,
-        typer.Option(
-            "--noise-from-data", help="True to estimate the noise of each observable and instrument from the residuals."
-        ),
-    ] = False
+    robust: RobustOption = False
+    noise_from_data: NoiseFromDataOption = False
     datum: Annotated[
         str | None,
         name_list_option(
@@ -203,18 +206,8 @@ class HistoryOptions(FunctionOptions):
         name_list_option("dates", "Date of each calibration in ISO form; default the dates of the recordings."),
         split_names,
     ] = None
-    robust: Annotated[
-        bool,
-        typer.Option(
-            "--robust", help="True to exclude outlying readings; each excluded reading is tested again at the end."
-        ),
-    ] = False
-    noise_from_data: Annotated[
-        bool,
-        typer.Option(
-            "--noise-from-data", help="True to estimate the noise of each observable and instrument from the residuals."
-        ),
-    ] = False
+    robust: RobustOption = False
+    noise_from_data: NoiseFromDataOption = False
 
 
 @dataclass(frozen=True)

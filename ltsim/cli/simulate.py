@@ -88,14 +88,16 @@ DetectionCurveOption = Annotated[
     ),
 ]
 
+SimulationSeedOption = Annotated[
+    int, bounded_option("seed", "Seed of all random draws: equal seed and trial give the same recording.")
+]
+
 
 @dataclass(frozen=True)
 class SimulateOptions(FunctionOptions):
     """Command-line options that become keyword arguments of the Python function `lt.simulate`."""
 
-    seed: Annotated[
-        int, bounded_option("seed", "Seed of all random draws: equal seed and trial give the same recording.")
-    ] = 0
+    seed: SimulationSeedOption = 0
     trial: Annotated[
         int,
         bounded_option(
@@ -278,9 +280,7 @@ method = "distance"
 class DemoOptions(FunctionOptions):
     """Command-line options of `ltsim demo` that become keyword arguments of the Python function `lt.simulate`."""
 
-    seed: Annotated[
-        int, bounded_option("seed", "Seed of all random draws: equal seed and trial give the same recording.")
-    ] = 0
+    seed: SimulationSeedOption = 0
 
 
 def demo(

@@ -196,23 +196,19 @@ class SelectedModelFit:
 
         Readings that are wrong with and without the effect are no alternative to the effect.
         """
-        return list(map(self._p_wrong_readings_of, range(len(self.model.hypotheses))))
-
-    def _p_wrong_readings_of(self, effect_index: int) -> float:
-        """Probability that several wrong readings, each with a separate error, are the cause of a selected effect.
-
-        `effect_index` is the index of the effect in the model.
-        """
         searcher, model = self.selection_state.searcher, self.model
-        if isinstance(model.hypotheses[effect_index].effect, Outlier):
-            return 0.0
         prior, space = searcher.catalogue_designs.log_prior_of_family(Outlier.name), searcher.residual_space
-        other_model = searcher.model_without(model, effect_index)
-        without_effect, with_effect = (
-            log_evidence_of_wrong_readings(space, m.residual, m.projected_basis, prior) for m in (other_model, model)
-        )
-        gain = model.log_evidence - other_model.log_evidence  # wrong readings would have the same penalty as the effect
-        return float(expit(without_effect - with_effect - gain))
+        with_effects = log_evidence_of_wrong_readings(space, model.residual, model.projected_basis, prior)
+        probabilities = []
+        for i, hypothesis in enumerate(model.hypotheses):
+            if isinstance(hypothesis.effect, Outlier):
+                probabilities.append(0.0)
+                continue
+            others = searcher.model_without(model, i)
+            without_effect = log_evidence_of_wrong_readings(space, others.residual, others.projected_basis, prior)
+            gain = model.log_evidence - others.log_evidence  # wrong readings would have the same penalty as the effect
+            probabilities.append(float(expit(without_effect - with_effects - gain)))
+        return probabilities
 
     def finding_of_effect(self, effect_index: int) -> Finding:
         """Finding that reports a selected effect, given the other selected effects.

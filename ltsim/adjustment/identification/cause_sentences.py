@@ -21,6 +21,7 @@ from ltsim.adjustment.identification.noise_sentences import noise_sentence
 from ltsim.adjustment.identification.nominal_offsets import offset_cause_text, smr_exchange_text
 from ltsim.adjustment.identification.reading_shifts import ReadingShift
 from ltsim.adjustment.identification.reference_misclosures import misclosure_estimate
+from ltsim.adjustment.reference_tests import length_sigma
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import names_text, number_text, with_sigma
 from ltsim.core.units import ARCSECOND, MICROMETRE, MICRORADIAN, MILLIMETRE, PPM, SI_PER_UNIT
@@ -51,8 +52,7 @@ def estimate_sigma_and_unit(
         unit, factor, n_components = "urad", MICRORADIAN, 2
     part, spread = shift_components[:n_components], covariance[:n_components, :n_components]
     estimated_size = float(part[0]) if len(part) == 1 else float(np.linalg.norm(part))
-    sigma = float(np.sqrt(max(float(part @ spread @ part), 0.0))) / max(abs(estimated_size), 1e-300)
-    return {"estimate": estimated_size / factor, "sigma": sigma / factor, "unit": unit}
+    return {"estimate": estimated_size / factor, "sigma": length_sigma(part, spread) / factor, "unit": unit}
 
 
 CAUSE_PHRASE_BY_REFERENCE_KIND = {
@@ -141,10 +141,8 @@ def _sentence_on_other_causes(fit: NetworkFit, hypothesis: CauseHypothesis) -> s
     if hypothesis.kind == "orientation":
         return f"The horizontal circle of {place_names} was turned by {size_text} {interval}."
     if hypothesis.kind == "station-bump":
-        turn, spread = values[3:], covariance[3:, 3:]
-        length = float(np.linalg.norm(turn))
-        sigma = float(np.sqrt(max(float(turn @ spread @ turn), 0.0))) / max(length, 1e-300)
-        turned = with_sigma(length / MICRORADIAN, sigma / MICRORADIAN, "urad")
+        turn, sigma = values[3:], length_sigma(values[3:], covariance[3:, 3:])
+        turned = with_sigma(float(np.linalg.norm(turn)) / MICRORADIAN, sigma / MICRORADIAN, "urad")
         return f"Station {place_names} moved {interval}, by {size_text} and {turned}."
     assert isinstance(effect, TargetMoved)
     components = (values / MILLIMETRE, np.sqrt(np.diag(covariance)) / MILLIMETRE)
