@@ -34,11 +34,11 @@ def row_of(results: list[ReflectorBenchEstimates], table: Floats) -> dict[str, f
     """How far the found tables are from the one put in [um], and the explanation by a vertex."""
     true = table - table[MIDDLE]
 
-    def rms(found: list[Floats]) -> float:
-        return float(np.sqrt(np.mean((np.array(found) - true) ** 2))) / MICROMETRE
+    def rms(tables: list[Floats]) -> float:
+        return float(np.sqrt(np.mean((np.array(tables) - true) ** 2))) / MICROMETRE
 
-    def at_edge(found: list[Floats]) -> float:
-        return float(np.percentile(np.abs(np.array(found) - true).max(axis=1), 95)) / MICROMETRE
+    def at_edge(tables: list[Floats]) -> float:
+        return float(np.percentile(np.abs(np.array(tables) - true).max(axis=1), 95)) / MICROMETRE
 
     vertices = [
         fit_vertex_offset(INCIDENCE_TABLE_ANGLES, r.range_errors, float(r.range_error_sigmas.max())) for r in results
@@ -63,9 +63,9 @@ def panel(name: str, table: Floats, results: list[ReflectorBenchEstimates]) -> l
     }
     rows = []
     for line, tables in lines.items():
-        found = np.array(tables) - (table - table[MIDDLE])
-        mean, (five, ninety_five) = found.mean(axis=0), np.percentile(found, [5, 95], axis=0)
-        half = 1.96 * found.std(axis=0) / np.sqrt(len(found))
+        errors = np.array(tables) - (table - table[MIDDLE])
+        mean, (five, ninety_five) = errors.mean(axis=0), np.percentile(errors, [5, 95], axis=0)
+        half = 1.96 * errors.std(axis=0) / np.sqrt(len(errors))
         columns = np.array([mean, mean - half, mean + half, five, ninety_five]) / MICROMETRE
         rows += [
             SweepPoint(a, line, name, *c)
@@ -78,7 +78,7 @@ def run(given: Options) -> Made:
     config = given.config
     trials, seed = given.trials or config["trials"], config["seed"]
     rows: list[dict[str, Any]] = []
-    shown: list[SweepPoint] = []
+    points: list[SweepPoint] = []
     for name, reflector in config["reflectors"].items():
         table = table_of(reflector)
         for probed, (first, last, step) in config["probe_angles_deg"].items():
@@ -87,9 +87,9 @@ def run(given: Options) -> Made:
                 results = [trial(table, size * MICROMETRE, probe, seed, i) for i in range(trials)]
                 rows.append({"reflector": name, "probe": probed, "eccentricity_um": size} | row_of(results, table))
                 if size == 5.0 and probed == "full turn":
-                    shown += panel(name, table, results)
+                    points += panel(name, table, results)
         tell(f"{name}: done")
     write_table(given.out / "bench.csv", rows)
     label = "table found less table put in [µm]"
-    write_figure(given.out / "tables.svg", sweep_panels_figure(shown, statistic_title=label, x_title="incidence [°]"))
+    write_figure(given.out / "tables.svg", sweep_panels_figure(points, statistic_title=label, x_title="incidence [°]"))
     return Made(seed, trials)

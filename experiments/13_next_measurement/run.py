@@ -72,16 +72,16 @@ def recorded(scenario_name: str, case: dict[str, Any], seed: int) -> tuple[Recor
     return recording.with_readings(readings), truth
 
 
-def one(scenario_name: str, case: dict[str, Any], seed: int, number: int) -> Row:
+def examined_recording(scenario_name: str, case: dict[str, Any], seed: int, number: int) -> Row:
     """One recording: diagnosed, extended as proposed, diagnosed again."""
     recording, truth = recorded(scenario_name, case, seed + 1000 * number)
     first = diagnose(recording, seed=seed)
     row: Row = {"true": case["name"], "recording": number}
     row |= {f"before_{key}": value for key, value in words(first, case["name"], case["stations"]).items()}
-    between, beside = explanations_of_ambiguous_finding(first)
+    between, context = explanations_of_ambiguous_finding(first)
     if not between:
         return row | {"between": "", "proposal": ""}
-    proposals = rank_next_measurements(recording, explanations=between, with_effects=beside)
+    proposals = rank_next_measurements(recording, explanations=between, with_effects=context)
     best = proposals.proposals[0]
     second = diagnose(measured(best.candidate, recording, truth, seed + number), seed=seed)
     row |= {
@@ -100,6 +100,6 @@ def run(given: Options) -> Made:
     config = given.config
     count = given.trials or config["recordings"]
     tasks = [(config["scenario"], case, config["seed"], number) for case in config["cases"] for number in range(count)]
-    rows = list(run_parallel(one, tasks, given.jobs))
+    rows = list(run_parallel(examined_recording, tasks, given.jobs))
     show_table(given.out / "cases.csv", rows)
     return Made(config["seed"], count)

@@ -18,16 +18,16 @@ Row = dict[str, Any]
 def answers_of(folder: Path) -> dict[str, dict[str, Any]]:
     """Diagnoses by recording: condensed in one file, or a folder each; with coordinates and their change [mm]."""
     if (folder / "answers.json").is_file():
-        found: dict[str, dict[str, Any]] = json.loads((folder / "answers.json").read_text(encoding="utf-8"))
-        return found
-    found = {}
+        answers: dict[str, dict[str, Any]] = json.loads((folder / "answers.json").read_text(encoding="utf-8"))
+        return answers
+    answers = {}
     for file in sorted(folder.glob("*/diagnosis.json")):
         rows = pd.read_csv(file.parent / "targets.csv", dtype={"target": str}).set_index("target")
-        found[file.parent.name] = json.loads(file.read_text(encoding="utf-8")) | {
+        answers[file.parent.name] = json.loads(file.read_text(encoding="utf-8")) | {
             key: dict(zip(rows.index, rows[[f"{prefix}{a}_mm" for a in "xyz"]].to_numpy().tolist(), strict=True))
             for key, prefix in (("targets_mm", ""), ("change_mm", "change_"))
         }
-    return found
+    return answers
 
 
 def rigid_error(points: np.ndarray, truth: np.ndarray) -> float:
@@ -48,9 +48,9 @@ def fits(answer: dict[str, Any], finding: dict[str, Any]) -> bool:
     return same and (not kinds[0] or not kinds[1] or bool(kinds[0] & kinds[1]))
 
 
-def scored(name: str, truth: dict[str, Any], found: dict[str, Any]) -> Row:
+def scored(name: str, truth: dict[str, Any], diagnosis: dict[str, Any]) -> Row:
     """Everything that is counted of one recording."""
-    answers, findings = truth["case"]["answer"], list(found["findings"])
+    answers, findings = truth["case"]["answer"], list(diagnosis["findings"])
     count = Counter({"of": sum(a["effect"] != "unknown" for a in answers)})
     count["unknown_of"] = len(answers) - count["of"]
     free = list(findings)
@@ -64,30 +64,30 @@ def scored(name: str, truth: dict[str, Any], found: dict[str, Any]) -> Row:
         free.remove(hit)
         if answer["effect"] == "unknown":
             count["unknown"] += bool(strict) and fits(answer, hit)
-            told, true = hit["where"]["observables"], answer["where"].get("observables", ())
-            count["exact"] += bool(strict) and set(told) == set(true)
+            reported, true = hit["where"]["observables"], answer["where"].get("observables", ())
+            count["exact"] += bool(strict) and set(reported) == set(true)
         else:
             count.update(named=1, first=bool(strict), place=fits(answer, hit))
     count["alarms"] = len(findings) if not answers else max(len(findings) - len(answers), 0)
-    before, after = _errors(truth, found)
+    before, after = _errors(truth, diagnosis)
     return {
         "name": name,
         "truth": " + ".join(a["effect"] for a in answers) or "–",
         "told": " + ".join(f["effect"] for f in findings) or "–",
         "clean": not answers,
-        "found": found["verdict"] == "mismatch",
+        "found": diagnosis["verdict"] == "mismatch",
         "count": count,
         "before_um": before,
         "after_um": after,
     }
 
 
-def _errors(truth: dict[str, Any], found: dict[str, Any]) -> tuple[float, float]:
+def _errors(truth: dict[str, Any], diagnosis: dict[str, Any]) -> tuple[float, float]:
     """Error of the targets [um] in the plain adjustment and after the diagnosis."""
-    names = [n for n in truth["targets_mm"] if n in found["targets_mm"]]
+    names = [n for n in truth["targets_mm"] if n in diagnosis["targets_mm"]]
     points, change, true = (
         np.array([source[n] for n in names])
-        for source in (found["targets_mm"], found["change_mm"], truth["targets_mm"])
+        for source in (diagnosis["targets_mm"], diagnosis["change_mm"], truth["targets_mm"])
     )
     return rigid_error(points - change, true), rigid_error(points, true)
 
@@ -120,7 +120,7 @@ def markdown(sets: dict[str, list[Row]]) -> str:
     lines += [f"| {key} | " + " | ".join(column.get(key, "–") for column in counted.values()) + " |" for key in keys]
     lines += ["", "| recording | truth | " + " | ".join(f"{n}: told, targets [um] before, after" for n in sets) + " |"]
     lines.append("|---|---" + "|---" * len(sets) + "|")
-    for one in zip(*sets.values(), strict=True):
-        cells = " | ".join(f"{r['told']}, {r['before_um']:.1f}, {r['after_um']:.1f}" for r in one)
-        lines.append(f"| {one[0]['name']} | {one[0]['truth']} | {cells} |")
+    for recording_rows in zip(*sets.values(), strict=True):
+        cells = " | ".join(f"{r['told']}, {r['before_um']:.1f}, {r['after_um']:.1f}" for r in recording_rows)
+        lines.append(f"| {recording_rows[0]['name']} | {recording_rows[0]['truth']} | {cells} |")
     return "\n".join(lines) + "\n"

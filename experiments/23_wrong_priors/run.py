@@ -12,11 +12,11 @@ def run(given: Options) -> Made:
         write_figure(given.out / f"errors-{errors:g}.svg", figure)
     # The ratio to the error as read, instrument by instrument.
     ratio = f"{ERROR} / new_point_error_raw_um"
-    found = results.query(
+    table = results.query(
         f"SELECT error_factor, noise_factor, prior_factor, method, count(*), avg({ratio}), "
         f"1.96 * stddev_samp({ratio}) / sqrt(count(*)), quantile_cont({ratio}, 0.95) FROM rows "
         "GROUP BY ALL ORDER BY ALL"
     )
     names = ("errors", "noise", "stated_prior", "judged", "trials", "ratio", "half_width_of_interval", "p95")
-    write_table(given.out / "ratios.csv", [dict(zip(names, row, strict=True)) for row in found])
+    write_table(given.out / "ratios.csv", [dict(zip(names, row, strict=True)) for row in table])
     return Made(results.manifest.seed, results.manifest.trials)

@@ -39,7 +39,7 @@ def run(given: Options) -> Made:
     write_table(given.out / "intervals.csv", rows)
     ends = [(row["instrument"], LINES[row["trackers"]], AXIS, row["inside"], row["low"], row["high"]) for row in rows]
     figure = sweep_panels_figure(
-        [SweepPoint(*own, 0, 0) for own in ends],
+        [SweepPoint(*values, 0, 0) for values in ends],
         statistic_title="inside 95 % intervals [%]",
         x_title="",
         joins_points=False,
