@@ -1,4 +1,4 @@
-"""Where the paper's figures lie: Table 3 in the simulated workshop, Table 4 in the simulated laboratory."""
+"""Figures of the paper in their simulated distributions: Table 3 in the workshop, Table 4 in the laboratory."""
 
 from itertools import product
 

@@ -1,4 +1,4 @@
-"""Least squares and least absolute deviations of the paper's objective, clean and with outliers."""
+"""Least squares and least absolute deviations of the paper's objective, with and without outliers."""
 
 from dataclasses import replace
 

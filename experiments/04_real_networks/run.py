@@ -1,4 +1,4 @@
-"""Networks that nobody here made: GNU Gama's, CERN's trackers, a ring, a total station, a scanner with known truth.
+"""Adjustments of real networks: GNU Gama, CERN, a storage ring, a total station; a simulated scanner with its truth.
 
     python -m experiments 04 [gama] [own] [cern] [ring] [geoeasy] [scanner]
 

@@ -1,4 +1,4 @@
-"""Where a unit of each error moves a point the most, and which heights of the reflectors make the best calibration."""
+"""Sensitivity of a point to each instrument error by elevation, and heights of reflectors for a calibration."""
 
 from itertools import cycle
 from textwrap import fill

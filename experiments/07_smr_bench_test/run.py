@@ -1,4 +1,4 @@
-"""The reflector on the roundness table: what the probe and the interferometer tell apart, and what 13 um can mean."""
+"""Bench test of a reflector on a roundness table: errors that the probe and the interferometer separate."""
 
 from typing import Any
 
@@ -51,7 +51,7 @@ def row_of(results: list[ReflectorBenchEstimates], table: Floats) -> dict[str, f
         "worst_95_corrected_um": at_edge([r.range_errors for r in results]),
         "vertex_side_um": float(np.mean([v.side_offset for v in vertices])) / MICROMETRE,
         "vertex_axial_um": float(np.mean([v.axial_offset for v in vertices])) / MICROMETRE,
-        "left_by_vertex_um": float(np.mean([v.unexplained_rms for v in vertices])) / MICROMETRE,
+        "unexplained_by_vertex_um": float(np.mean([v.unexplained_rms for v in vertices])) / MICROMETRE,
     }
 
 
@@ -59,7 +59,7 @@ def panel(name: str, table: Floats, results: list[ReflectorBenchEstimates]) -> l
     """How far the found tables are from the one put in, with and without the probe: mean and middle 90 % of trials."""
     lines = {
         "lengths as recorded": [r.uncorrected_lengths for r in results],
-        "eccentricity taken off": [r.range_errors for r in results],
+        "eccentricity removed": [r.range_errors for r in results],
     }
     rows = []
     for line, tables in lines.items():
@@ -90,6 +90,6 @@ def run(given: Options) -> Made:
                     points += panel(name, table, results)
         tell(f"{name}: done")
     write_table(given.out / "bench.csv", rows)
-    label = "table found less table put in [µm]"
+    label = "estimated minus true range error [µm]"
     write_figure(given.out / "tables.svg", sweep_panels_figure(points, statistic_title=label, x_title="incidence [°]"))
     return Made(seed, trials)

@@ -1,4 +1,4 @@
-"""How much better than the paper's layout can five stations stand, and how few would do? Checked by simulation."""
+"""Layouts of five and fewer stations from a search, compared with the paper's layout and checked by simulation."""
 
 from itertools import product
 from pathlib import Path

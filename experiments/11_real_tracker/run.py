@@ -1,4 +1,4 @@
-"""A real tracker: calibrated from one set-up, checked on the other, followed over nine epochs.
+"""Real tracker: calibration from one set-up, validation at the other, changes over nine epochs.
 
     python -m experiments 11 [noise] [course] [transfer] [lines] [index] [checks] [diagnoses]
 
@@ -37,16 +37,16 @@ Rows = list[dict[str, object]]
 
 
 def noise_of_recordings(out: Path) -> Noise:
-    """The noise of `noise.json`, found anew where the file is absent."""
+    """Noise in `noise.json`, estimated again if the file is absent."""
     file = out / "noise.json"
     if not file.is_file():
         noise(out)
-    return Noise(**json.loads(file.read_text())["found"])
+    return Noise(**json.loads(file.read_text())["estimated"])
 
 
 def noise(out: Path) -> None:
     estimate = estimated_noise()
-    text = json.dumps({"found": estimate.model_dump(), "authors": AUTHORS.model_dump()}, indent=1)
+    text = json.dumps({"estimated": estimate.model_dump(), "authors": AUTHORS.model_dump()}, indent=1)
     (out / "noise.json").write_text(text + "\n")
     rows: Rows = []
     for name in EPOCHS:
@@ -236,9 +236,9 @@ def checks(out: Path) -> None:
 
 
 def diagnoses(out: Path) -> None:
-    """`ltsim diagnose` on every epoch, with the default noise and with the noise found; half a minute each."""
+    """`ltsim diagnose` on every epoch, with the default noise and with the estimated noise; half a minute each."""
     rows: Rows = []
-    for label, noise_of_tracker in (("default", None), ("found", noise_of_recordings(out))):
+    for label, noise_of_tracker in (("default", None), ("estimated", noise_of_recordings(out))):
         for name in EPOCHS:
             content = diagnose(epoch(name, noise_of_tracker)).content()
             before, after = content["fit"]["before"], content["fit"]["after"]

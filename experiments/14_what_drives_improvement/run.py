@@ -1,4 +1,4 @@
-"""Which errors decide how much calibration improves the paper's criteria? Sobol indices.
+"""Sobol indices of the errors that determine how much a calibration improves the paper's criteria.
 
 The sizes of all groups of errors are uncertain over a range, evenly in their logarithm; a first-order index is the
 share of the variance of a criterion that knowing one size would remove, a total index the share that would remain if

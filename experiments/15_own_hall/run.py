@@ -1,4 +1,4 @@
-"""Does a hall get better by what its plan says of single reflectors? Every change told, simulated many times."""
+"""Comparison of the predictions of a plan for single reflectors with simulated measurements."""
 
 import numpy as np
 
@@ -72,10 +72,10 @@ def run(given: Options) -> Made:
         is_inside_interval = (
             simulated_gain["gain_low_um"] <= change.target_rms_decrease_um <= simulated_gain["gain_high_um"]
         )
-        row: Row = {"do": change.action_text, "promised_um": change.target_rms_decrease_um, **simulated_gain}
+        row: Row = {"action": change.action_text, "predicted_um": change.target_rms_decrease_um, **simulated_gain}
         rows.append(
             {k: v if isinstance(v, str) else round(float(v), 4) for k, v in row.items()}
-            | {"held": bool(is_inside_interval)}
+            | {"inside_interval": bool(is_inside_interval)}
         )
         tell(str(rows[-1]))
     write_table(given.out / "changes.csv", rows)

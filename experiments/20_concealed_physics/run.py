@@ -1,4 +1,4 @@
-"""Concealed physics: is the diagnosis right if it receives no information about the error?
+"""Concealed physics: diagnoses of recordings without any information about the error that they contain.
 
 python -m experiments 20 [PLAN] [ENTRANT ...]    a plan of `plans/`, quick by default; ltsim by default
 python -m experiments 20 PLAN tables             tables and figures of the committed rows

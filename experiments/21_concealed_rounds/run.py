@@ -1,4 +1,4 @@
-"""Concealed recordings of another simulator: as diagnosed while their truth was sealed, and as diagnosed today.
+"""Diagnoses of concealed recordings of another simulator: the sealed ones, and those of the present version.
 
 python -m experiments 21 [round-1] [round-2] [round-3]    diagnosed today, all against the truth
 python -m experiments 21 round-4                          once its truth is open
@@ -19,7 +19,7 @@ from .score import answers_of, markdown, scored
 
 SHARED = ROOT.parent / "shared" / "concealed"
 COMMITTED = ROOT / "results" / "concealed"
-"""What was told while the truth was sealed; never written again."""
+"""Diagnoses from the time when the truth was sealed; they are never written again."""
 TODAY = ROOT / "build" / "concealed-rounds"
 ROUNDS = ("round-1", "round-2", "round-3", "round-4")
 

@@ -1,4 +1,4 @@
-"""Is the uncertainty of a task what it is said to be? Predicted against the spread of simulated measurements."""
+"""Comparison of predicted uncertainties of measurement tasks with the scatter of simulated measurements."""
 
 from typing import Any
 
@@ -73,7 +73,7 @@ def table_of(case: str, errors: Floats, linear: LinearUncertainty, names: Names)
             "observed_over_predicted": round(float(scatter[i] / linear.standard_uncertainties[i]), 4),
             "uncertainty_of_the_ratio": round(float(1 / np.sqrt(2 * (count - 1))), 4),
             "inside_95_percent": round(100 * float(inside[i]), 2),
-            "uncertainty_of_the_share": round(100 * float(np.sqrt(0.95 * 0.05 / count)), 2),
+            "uncertainty_of_the_fraction": round(100 * float(np.sqrt(0.95 * 0.05 / count)), 2),
         })  # fmt: skip
     return rows
 

@@ -1,4 +1,4 @@
-"""Whether 95 % intervals hold, for every construction, order of harmonics and number of instruments."""
+"""Coverage of 95 % intervals for each construction, order of harmonics and number of instruments."""
 
 from typing import Any
 
@@ -61,5 +61,5 @@ def row_of(z: Floats, end: SolverComparison) -> Row:
         **{name: round(value, 2) for name, value in (("inside", mean), ("low", mean - half), ("high", mean + half))},
         "parameters_beyond_99_percent_of_chance": int(np.sum((counts < low) | (counts > high))),
         "rms_z": round(float(np.sqrt(np.mean(z**2))), 3),
-        "apart_from_full_solver_sigma": f"{end.largest_difference_sigma or 0:.1e}",
+        "difference_from_full_solver_sigma": f"{end.largest_difference_sigma or 0:.1e}",
     }

@@ -1,4 +1,4 @@
-"""Whom do the acceptance tests let pass? A population of trackers, good and bad, against the errors of their points."""
+"""Pass rates of acceptance tests in a population of trackers, by the errors of their points."""
 
 from itertools import pairwise
 from typing import Any

@@ -1,4 +1,4 @@
-"""Ranges from many places, or everything from one: point errors at an equal number of pointings."""
+"""Point errors by ranges from several stations, and by ranges and angles, at equal numbers of pointings."""
 
 from experiments.common import Made, Options, campaign, show_table
 

@@ -1,4 +1,4 @@
-"""Does each verb report simple causes, from just visible to absurd, at their place? Beside data snooping and GNU Gama.
+"""First reports of each command for simple causes of all sizes, compared with data snooping and GNU Gama.
 
     python -m experiments 29             # all halls; ten minutes of processor time
     python -m experiments 29 tables      # the tables of the committed rows, in seconds
