@@ -51,8 +51,8 @@ def network(kind: str, stations: int, targets: int, pointings: int) -> Recording
     position = np.stack([radius * np.cos(along), radius * np.sin(along), rng.normal(1.6, 0.1, stations)], axis=1)
     points = np.stack([side * np.cos(at), side * np.sin(at), rng.uniform(0.2, 3.0, targets)], axis=1)
     gap = np.linalg.norm(position[:, None] - points[None], axis=2)
-    seen = [pointings // stations + (s < pointings % stations) for s in range(stations)]
-    pairs = [(s, t) for s in range(stations) for t in np.argsort(gap[s])[: seen[s]]]
+    pointings_of_station = [pointings // stations + (s < pointings % stations) for s in range(stations)]
+    pairs = [(s, t) for s in range(stations) for t in np.argsort(gap[s])[: pointings_of_station[s]]]
     station, target = np.array(pairs, dtype=np.int64).T
     names, target = np.unique(target, return_inverse=True)
     ones = np.ones(len(station), dtype=np.int64)
@@ -83,21 +83,21 @@ def measured(case: Case) -> dict[str, float | str]:
     best = (np.inf, np.inf, np.inf)
     for _ in range(3):
         wall, start = time.perf_counter(), time.process_time()
-        found = adjust(recording, make_construction(built))
+        adjustment = adjust(recording, make_construction(built))
         solved = time.process_time()
-        sigma = np.sqrt(np.einsum("tii->ti", found.target_covariances))
-        poses, redundancy = found.pose_covariance, found.redundancy
+        sigma = np.sqrt(np.einsum("tii->ti", adjustment.target_covariances))
+        poses, redundancy = adjustment.pose_covariance, adjustment.redundancy
         end = time.process_time()
         best = min(best, (end - start, solved - start, time.perf_counter() - wall))
-    found.solution.require_success()
-    if not (np.isfinite(sigma).all() and np.isfinite(poses).all() and abs(np.nansum(redundancy) - found.dof) < 60):
+    adjustment.solution.require_success()
+    if not (np.isfinite(sigma).all() and np.isfinite(poses).all() and abs(np.nansum(redundancy) - adjustment.dof) < 60):
         raise RuntimeError("the statistics are not what they should be")
     return {
         "network": kind, "construction": built, "set_ups": stations, "targets": len(recording.targets),
-        "pointings": len(recording), "unknowns": found.problem.unknowns.n_columns, "adjust_s": round(best[1], 3),
+        "pointings": len(recording), "unknowns": adjustment.problem.unknowns.n_columns, "adjust_s": round(best[1], 3),
         "all_s": round(best[0], 3), "wall_s": round(best[2], 3),
         "peak_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3),
-        "before_mb": round(before), "sigma0": round(found.sigma0, 4),
+        "before_mb": round(before), "sigma0": round(adjustment.sigma0, 4),
         "largest_sigma_mm": round(1e3 * float(sigma.max()), 3),
     }  # fmt: skip
 

@@ -61,10 +61,10 @@ def seconds(work: Callable[[], object], repeats: int) -> float:
 
 def difference(engine: BatchCalibrator, block: TrialBatch, trial: int, values: Floats, points: Floats) -> float:
     """Largest difference [sigma] of parameters and of targets after a rigid fit from the single solver's."""
-    full, own, _ = engine.serial_calibrator.adjust_recording(recording_of_trial(engine.true_network, block, trial))
+    full, single, _ = engine.serial_calibrator.adjust_recording(recording_of_trial(engine.true_network, block, trial))
     if full is None:
         return float("nan")
-    z = np.abs(values - own[0]) / engine.batch_network.parameter_sigmas[0]
+    z = np.abs(values - single[0]) / engine.batch_network.parameter_sigmas[0]
     gap = np.abs(align_to_points(points, full.state.target_points) - full.state.target_points) / engine.target_sigmas
     return float(max(z.max(), gap.max()))
 
@@ -74,9 +74,9 @@ def peers(trials: int) -> None:
     truth = workshop()
     engine, judge = BatchCalibrator(truth, misalignment_construction()), TrialEvaluator(truth)
     block = truth.draw_batch(SEED, 0)
-    found = engine.calibrate(block)
+    calibrated = engine.calibrate(block)
     judge.method_independent_columns(block)
-    judge.method_columns(block, found, engine.construction)
+    judge.method_columns(block, calibrated, engine.construction)
 
     def everything() -> None:
         drawn = truth.draw_batch(SEED, 1)
@@ -89,7 +89,11 @@ def peers(trials: int) -> None:
     batch = seconds(lambda: engine.calibrate(block), 20) / TRIALS_PER_STREAM
     agreement = max(
         difference(
-            engine, block, k, found.instrument_values[0, :, k], truth.state.target_points + found.target_errors[:, :, k]
+            engine,
+            block,
+            k,
+            calibrated.instrument_values[0, :, k],
+            truth.state.target_points + calibrated.target_errors[:, :, k],
         )
         for k in range(trials)
     )
@@ -103,11 +107,13 @@ def peers(trials: int) -> None:
     recordings = [recording_of_trial(truth, block, k) for k in range(trials)]
     single = min(seconds(lambda r=r: adjust(r, engine.construction), 2) for r in recordings)  # type: ignore[misc]
     rows.append(_row("ltsim single solver, from the readings alone", single, batch, 0.0))
-    known = [
+    starts = [
         lambda r=r: adjust(r, engine.construction, start_state=engine.batch_network.state_with_zero_parameters)
         for r in recordings
     ]
-    rows.append(_row("ltsim single solver, from the peers' start", min(seconds(one, 2) for one in known), batch, 0.0))
+    rows.append(
+        _row("ltsim single solver, from the peers' start", min(seconds(solve, 2) for solve in starts), batch, 0.0)
+    )
     solvers: dict[str, Solver | None] = {
         "numpy Gauss-Newton, analytic": numpy_gauss_newton,
         "pyceres, one block, analytic": pyceres_solver(),
@@ -149,7 +155,7 @@ def parts() -> None:
     truth = workshop()
     engine, judge = BatchCalibrator(truth, misalignment_construction()), TrialEvaluator(truth)
     network, block = engine.batch_network, truth.draw_batch(SEED, 0)
-    found = engine.calibrate(block)
+    calibrated = engine.calibrate(block)
     x, predicted = network._first_step(block.reading_deviations, block.length_errors)
     gradient, cost = np.empty_like(x), np.empty(TRIALS_PER_STREAM)
     rng = np.random.default_rng(0)
@@ -164,7 +170,7 @@ def parts() -> None:
         ),
         "calibrate: everything": lambda: engine.calibrate(block),
         "judge: points of one set of parameters (three times)": lambda: judge.mean_points_by_station(
-            block.reading_deviations, engine.construction, found.instrument_values
+            block.reading_deviations, engine.construction, calibrated.instrument_values
         ),
         "judge: both criteria (twice)": lambda: judge.criteria_columns(raw, "before"),
         "judge: error against the truth (three times)": lambda: judge.measured_point_error(raw),
@@ -178,18 +184,18 @@ def other_paths() -> None:
     """The distance objective in batch, and campaigns whose geometry varies from trial to trial."""
     truth, every = workshop(), np.arange(TRIALS_PER_STREAM)
     batch, block = BatchDistanceCalibrator(truth, misalignment_construction()), truth.draw_batch(SEED, 0)
-    found = batch.calibrate(block, every)
-    worst = max(batch.largest_solver_difference(block, k, found) for k in range(3))
+    calibrated = batch.calibrate(block, every)
+    worst = max(batch.largest_solver_difference(block, k, calibrated) for k in range(3))
     each = seconds(lambda: batch.calibrate(block, every), 5) / TRIALS_PER_STREAM
     single = seconds(lambda: batch.serial_calibrator.calibrate(block, np.array([0])), 3)
-    absolute, some = BatchDistanceCalibrator(truth, misalignment_construction(), method="distance-l1"), np.arange(16)
-    settled = absolute.calibrate(block, some)
-    apart = max(absolute.largest_solver_difference(block, k, settled) for k in range(8))
-    programmed = seconds(lambda: absolute.calibrate(block, some), 3) / len(some)
+    absolute, trials = BatchDistanceCalibrator(truth, misalignment_construction(), method="distance-l1"), np.arange(16)
+    settled = absolute.calibrate(block, trials)
+    largest_difference = max(absolute.largest_solver_difference(block, k, settled) for k in range(8))
+    programmed = seconds(lambda: absolute.calibrate(block, trials), 3) / len(trials)
     alone = seconds(lambda: absolute.serial_calibrator.calibrate(block, np.array([0])), 3)
     campaign = CampaignFile(format="ltsim-campaign/1", trials=256, geometry="per-trial", verified_trials_per_shard=0)
     task = ShardTask(campaign, load_scenario("paper-workshop"), "", 0, 0)
-    own = seconds(lambda: make_shard_rows(task), 3) / campaign.trials
+    single = seconds(lambda: make_shard_rows(task), 3) / campaign.trials
     shared = ShardTask(CampaignFile(format="ltsim-campaign/1", trials=4096), load_scenario("paper-workshop"), "", 0, 0)
     written = seconds(lambda: run_shard_task(shared), 4) / 4096
     print("\nOther paths, one core\n")
@@ -197,9 +203,14 @@ def other_paths() -> None:
         ["shared geometry, judged, verified, encoded", f"{1e6 * written:.1f} us", f"{1 / written:.0f}", ""],
         ["distance objective, batch", f"{1e6 * each:.0f} us", f"{1 / each:.0f}", f"{worst:.0e}"],
         ["distance objective, single", f"{1e3 * single:.0f} ms", f"{1 / single:.0f}", ""],
-        ["distance objective, absolute, batch", f"{1e3 * programmed:.1f} ms", f"{1 / programmed:.0f}", f"{apart:.0e}"],
+        [
+            "distance objective, absolute, batch",
+            f"{1e3 * programmed:.1f} ms",
+            f"{1 / programmed:.0f}",
+            f"{largest_difference:.0e}",
+        ],
         ["distance objective, absolute, single", f"{1e3 * alone:.0f} ms", f"{1 / alone:.0f}", ""],
-        ["geometry of its own for each trial, all included", f"{1e3 * own:.1f} ms", f"{1 / own:.0f}", ""],
+        ["geometry of its own for each trial, all included", f"{1e3 * single:.1f} ms", f"{1 / single:.0f}", ""],
     ]
     print(align_columns(["path", "per trial", "trials a second", "agreement [sigma]"], rows))
 
@@ -257,16 +268,16 @@ def main() -> None:
     parser.add_argument("--short", action="store_true", help="smaller networks and fewer trials")
     parser.add_argument("--out", type=Path, help="a file for what is printed")
     chosen = parser.parse_args()
-    told = StringIO()
-    with threadpool_limits(limits=1), redirect_stdout(told if chosen.out else sys.stdout):
+    output = StringIO()
+    with threadpool_limits(limits=1), redirect_stdout(output if chosen.out else sys.stdout):
         peers(chosen.trials)
         parts()
         other_paths()
         scaling(chosen.short)
         trials_against_time(chosen.short)
     if chosen.out:
-        chosen.out.write_text(told.getvalue(), encoding="utf-8")
-        print(told.getvalue(), end="")
+        chosen.out.write_text(output.getvalue(), encoding="utf-8")
+        print(output.getvalue(), end="")
 
 
 if __name__ == "__main__":

@@ -78,13 +78,13 @@ def measured(kind: str, pointings: int) -> dict[str, Any]:
     lt.diagnose(watched(240))  # Imports and compiled parts are no part of it.
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
     wall, start = time.perf_counter(), time.process_time()
-    found = lt.diagnose(recording).content()
+    result_content = lt.diagnose(recording).content()
     return {
         "recording": kind, "set_ups": len(recording.stations), "targets": len(recording.targets),
         "pointings": len(recording), "columns": len(recording.covariates),
         "processor_s": round(time.process_time() - start, 1), "wall_s": round(time.perf_counter() - wall, 1),
         "peak_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3), "before_mb": round(before),
-        "told": " + ".join(f["effect"] for f in found["findings"]) or found["verdict"],
+        "told": " + ".join(f["effect"] for f in result_content["findings"]) or result_content["verdict"],
     }  # fmt: skip
 
 

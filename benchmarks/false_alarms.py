@@ -42,15 +42,15 @@ def hall(size: str) -> str:
 
 def chance(seed: int, file: Path) -> tuple[float, int]:
     """The p-value of the search on one clean recording, compared with its own draws, and how many unknowns it has."""
-    found = lt.diagnose(lt.simulate(file, seed=seed)[0], seed=seed)
-    return found.global_test.search_p_value, found.baseline_adjustment.solution.system.design.shape[1]
+    diagnosis = lt.diagnose(lt.simulate(file, seed=seed)[0], seed=seed)
+    return diagnosis.global_test.search_p_value, diagnosis.baseline_adjustment.solution.system.design.shape[1]
 
 
 def fell(seed: int, file: Path) -> bool | None:
     """Whether what a search is forced to find in a clean recording lowers the held-out error; None: found nothing."""
-    found = lt.diagnose(lt.simulate(file, seed=seed)[0], level=0.999, held_out=True)
-    before, after = found.fit.before.held_out_rms, found.fit.after.held_out_rms
-    return None if before is None or after is None or not found.findings else after < before
+    diagnosis = lt.diagnose(lt.simulate(file, seed=seed)[0], level=0.999, held_out=True)
+    before, after = diagnosis.fit.before.held_out_rms, diagnosis.fit.after.held_out_rms
+    return None if before is None or after is None or not diagnosis.findings else after < before
 
 
 def main() -> None:
@@ -71,9 +71,9 @@ def main() -> None:
                 each = [f for f in pool.map(partial(fell, file=file), seeds) if f is not None]
                 print(f"{given.size}: the held-out error falls in {sum(each)} of {len(each)} with something told")
                 return
-            told = list(pool.map(partial(chance, file=file), seeds))
-    p = np.array([value for value, _ in told])
-    print(f"{given.size}: {given.recordings} clean recordings of {min(n for _, n in told)} unknowns and more")
+            p_values = list(pool.map(partial(chance, file=file), seeds))
+    p = np.array([value for value, _ in p_values])
+    print(f"{given.size}: {given.recordings} clean recordings of {min(n for _, n in p_values)} unknowns and more")
     for limit in LIMITS:
         count = int(np.sum(p <= limit))
         low, high = binomtest(count, len(p)).proportion_ci(method="exact")

@@ -60,20 +60,20 @@ def declared() -> dict[str, str]:
     return {name: kind for name, kind in reversed(wanted) if kind not in ("dev", "docs") and name != "ltsim"}
 
 
-def needs(name: str, known: dict[str, set[str]]) -> set[str]:
+def needs(name: str, cache: dict[str, set[str]]) -> set[str]:
     """A package and all that it needs, as far as it is installed."""
     key = re.sub(r"[-_.]+", "-", name).lower()
-    if key in known:
-        return known[key]
-    known[key] = set()  # packages may need each other in a circle
+    if key in cache:
+        return cache[key]
+    cache[key] = set()  # packages may need each other in a circle
     try:
         listed = distribution(key).requires or []
     except PackageNotFoundError:
         return set()
     wanted = [Requirement(text) for text in listed]
     inner = [r.name for r in wanted if r.marker is None or r.marker.evaluate({"extra": ""})]
-    known[key] = {key}.union(*(needs(other, known) for other in inner))
-    return known[key]
+    cache[key] = {key}.union(*(needs(other, cache) for other in inner))
+    return cache[key]
 
 
 def megabytes(name: str) -> float:
@@ -95,8 +95,8 @@ def _clock(before: str) -> float:
 
 def rows() -> list[list[str]]:
     """Row of each package: name, version, extra, whole size [MB], freed size [MB], load time [s], task in ltsim."""
-    packages, known = declared(), dict[str, set[str]]()
-    closure = {name: needs(name, known) for name in packages}
+    packages, cache = declared(), dict[str, set[str]]()
+    closure = {name: needs(name, cache) for name in packages}
     size = {name: megabytes(name) for name in set().union(*closure.values())}
     table = []
     for name, extra in packages.items():

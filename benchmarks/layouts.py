@@ -44,9 +44,9 @@ def from_scratch(search: LayoutSearcher, number: int) -> int:
     position = grid[draw.integers(0, len(grid), (BATCH, count))] + draw.uniform(-0.05, 0.05, (BATCH, count, 3))
     yaw = draw.uniform(0, 2 * np.pi, (BATCH, count))
     flat = position.reshape(-1, 3)
-    seen = search.search_space.is_visible(flat)
-    good = search.search_space.is_feasible(position, seen.reshape(BATCH, count, -1))
-    blocks = search.scorer.normal_blocks(flat, yaw.ravel(), is_visible=seen)
+    is_visible = search.search_space.is_visible(flat)
+    good = search.search_space.is_feasible(position, is_visible.reshape(BATCH, count, -1))
+    blocks = search.scorer.normal_blocks(flat, yaw.ravel(), is_visible=is_visible)
     reduced = search.scorer.evaluate_layouts(blocks, np.arange(BATCH * count).reshape(BATCH, count))
     values = search.objective.objective_values(reduced, search.construction.n_parameters)
     return int(np.sum(np.isfinite(values) & good))
@@ -100,8 +100,8 @@ def main() -> None:
     print("|---|---|---|")
     for kind, words in (("scratch", "all anew"), ("exchange", "one station exchanged")):
         for faces in (1, 2):
-            wall, own = measured(kind, faces)
-            print(f"| {words}, {'one face' if faces == 1 else 'two faces'} | {wall:,.0f} | {own:,.0f} |", flush=True)
+            wall, rate = measured(kind, faces)
+            print(f"| {words}, {'one face' if faces == 1 else 'two faces'} | {wall:,.0f} | {rate:,.0f} |", flush=True)
 
 
 if __name__ == "__main__":

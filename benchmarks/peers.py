@@ -43,7 +43,7 @@ class DenseProblem:
     recording: Recording
     construction: GeometricErrorModel
     start: NetworkState
-    _seen: dict[bytes, tuple[Floats, ...]] = field(default_factory=dict)
+    _designs: dict[bytes, tuple[Floats, ...]] = field(default_factory=dict)
 
     @cached_property
     def _start(self) -> tuple[Floats, Floats, Floats]:
@@ -85,25 +85,25 @@ class DenseProblem:
     def _evaluated(self, x: Floats) -> tuple[Floats, ...]:
         """Readings and geometry; kept for the Jacobian at the point of the last residual."""
         key = x.tobytes()
-        if key not in self._seen:
+        if key not in self._designs:
             local, *geometry = self._local(x)
-            self._seen.clear()
-            self._seen[key] = (
+            self._designs.clear()
+            self._designs[key] = (
                 self.construction.readings_from_points(local, self.recording.face, geometry[-1]),
                 *geometry,
             )
-        return self._seen[key]
+        return self._designs[key]
 
     def _linearised(self, x: Floats) -> tuple[Floats, ...]:
         """Derivatives of the readings by the local point and by the parameters, and geometry; readings are kept."""
         key = x.tobytes()
-        if key in self._seen:
-            raw, *geometry = self._seen[key]
+        if key in self._designs:
+            raw, *geometry = self._designs[key]
             return (*self.construction.reading_design(raw, geometry[-1]), *geometry)
         local, *geometry = self._local(x)
         raw, *by = self.construction.readings_and_design(local, self.recording.face, geometry[-1])
-        self._seen.clear()
-        self._seen[key] = (raw, *geometry)
+        self._designs.clear()
+        self._designs[key] = (raw, *geometry)
         return (*by, *geometry)
 
     def residual(self, x: Floats) -> Floats:
@@ -129,11 +129,11 @@ class DenseProblem:
         design[rows, columns] = by_target
         columns = np.arange(poses + targets, self.size)
         design[rows, columns] = by_value / self._sigma[:, :, None]
-        self._add_known(design, points, 3 * n, poses)
+        self._add_reference_points(design, points, 3 * n, poses)
         design[3 * n + len(self._gauge) :, poses + targets :] = np.diag(1.0 / self._prior_sigma)
         return design
 
-    def _add_known(self, design: Floats, points: Floats, start: int, poses: int) -> None:
+    def _add_reference_points(self, design: Floats, points: Floats, start: int, poses: int) -> None:
         gauge = self._gauge
         unit = gauge.line_directions(points) / gauge.total_sigmas[:, None]
         at = start + np.arange(len(gauge))[:, None]
@@ -162,7 +162,7 @@ def scipy_analytic(problem: DenseProblem) -> Floats:
     """`scipy.optimize.least_squares` with the analytic Jacobian and scaled unknowns, by its fastest method."""
     start = np.zeros(problem.size)
     scale = 1.0 / np.linalg.norm(problem.jacobian(start), axis=0)
-    found = least_squares(
+    solution = least_squares(
         lambda z: problem.residual(scale * z),
         start,
         jac=lambda z: problem.jacobian(scale * z) * scale,
@@ -171,7 +171,7 @@ def scipy_analytic(problem: DenseProblem) -> Floats:
         xtol=TOLERANCE,
         gtol=TOLERANCE,
     )
-    x: Floats = scale * found.x
+    x: Floats = scale * solution.x
     return x
 
 
@@ -214,7 +214,7 @@ def pyceres_solver() -> Solver | None:
         options.num_threads = 1
         options.minimizer_progress_to_stdout = False
         pyceres.solve(options, whole, pyceres.SolverSummary())
-        found: Floats = scale * x
-        return found
+        solution: Floats = scale * x
+        return solution
 
     return solve

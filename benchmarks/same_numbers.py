@@ -82,15 +82,15 @@ def numbers_of(path: Path) -> dict[str, float]:
     """Every number of a JSON or CSV file by its place."""
     if path.suffix == ".json":
         return dict(numbers(json.loads(path.read_text(encoding="utf-8"))))
-    found = {}
+    values = {}
     with path.open(encoding="utf-8", newline="") as lines:
         for index, row in enumerate(csv.DictReader(lines)):
             for name, text in row.items():
                 try:
-                    found[f"{name}[{index}]"] = float(text)
+                    values[f"{name}[{index}]"] = float(text)
                 except (TypeError, ValueError):
                     continue
-    return found
+    return values
 
 
 def differences(ours: Path, theirs: Path) -> Iterator[str]:
@@ -111,8 +111,8 @@ def differences(ours: Path, theirs: Path) -> Iterator[str]:
                 worst, where = abs(old[key] - new[key]) / scale, key
         gone = len(old) - len(shared)
         if where or gone:
-            told = f"{where}: {old[where]:.9g} was, {new[where]:.9g} is" if where else "same where both have it"
-            yield f"{name}: {told}" + (f"; {gone} of {len(old)} keys are gone" if gone else "")
+            change = f"{where}: {old[where]:.9g} was, {new[where]:.9g} is" if where else "same where both have it"
+            yield f"{name}: {change}" + (f"; {gone} of {len(old)} keys are gone" if gone else "")
 
 
 def main() -> int:

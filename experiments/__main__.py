@@ -47,10 +47,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     elif given.number == "all":
         run_all(given.out or RESULTS, given.jobs)
     else:
-        run_one(given.number, given.words, given.trials, given.jobs, given.out)
+        run_experiment(given.number, given.words, given.trials, given.jobs, given.out)
 
 
-def run_one(number: str, words: Sequence[str], trials: int | None, jobs: int, out: Path | None) -> None:
+def run_experiment(number: str, words: Sequence[str], trials: int | None, jobs: int, out: Path | None) -> None:
     """Run one experiment, and write beside its results where they came from."""
     from experiments.common import Options, refuse_changes, write_manifest
 
@@ -70,30 +70,30 @@ def run_all(out: Path, jobs: int) -> None:
     whole, state = time.perf_counter(), f"{commit()} {bool(changes())} {out}"
     for line in lines_of_all():
         words, folder = [*line["words"]], FOLDERS[line["words"][0]]
-        said = f"{' '.join(words)}, about {line['minutes']:g} min"
+        title = f"{' '.join(words)}, about {line['minutes']:g} min"
         if not (HERE.parent / line.get("needs", "")).exists():
-            print(f"{said}: left out, {line['needs']} is not beside the project", flush=True)
+            print(f"{title}: left out, {line['needs']} is not beside the project", flush=True)
             continue
         mark = MARKS / out.name / "-".join(words)
         if mark.is_file() and mark.read_text(encoding="utf-8") == state:
-            print(f"{said}: made by this commit already", flush=True)
+            print(f"{title}: made by this commit already", flush=True)
             continue
         start, trials = time.perf_counter(), line.get("trials")
         command = [sys.executable, "-m", "experiments", *words, "--jobs", str(jobs), "--out", str(out / folder.name)]
         done = subprocess.run([*command, *([] if trials is None else ["--trials", str(trials)])], cwd=HERE.parent)
         if done.returncode:
-            sys.exit(f"{said}: failed; the same command goes on with it")
+            sys.exit(f"{title}: failed; the same command goes on with it")
         mark.parent.mkdir(parents=True, exist_ok=True)
         mark.write_text(state, encoding="utf-8")
-        print(f"{said}: took {(time.perf_counter() - start) / 60:.1f} min", flush=True)
+        print(f"{title}: took {(time.perf_counter() - start) / 60:.1f} min", flush=True)
     print(f"all took {(time.perf_counter() - whole) / 60:.1f} min", flush=True)
 
 
 def lines_of_all() -> list[dict[str, Any]]:
     """What `all` runs."""
     with LIST.open("rb") as file:
-        found: list[dict[str, Any]] = tomllib.load(file)["run"]
-    return found
+        entries: list[dict[str, Any]] = tomllib.load(file)["run"]
+    return entries
 
 
 def line_of(number: str) -> dict[str, Any]:

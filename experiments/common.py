@@ -75,8 +75,8 @@ def batches(trials: int, width: int = 250) -> Iterator[tuple[int, int]]:
 def cells_of(given: Options) -> tuple[CampaignFile, Sequence[CampaignCell]]:
     """The campaign of an experiment's `config.toml` with its cells."""
     file = given.here / "config.toml"
-    found, scenarios = load_campaign(file, given.changes)
-    return found, spec.make_campaign_cells(found, scenarios, file)[1]
+    campaign_file, scenarios = load_campaign(file, given.changes)
+    return campaign_file, spec.make_campaign_cells(campaign_file, scenarios, file)[1]
 
 
 def campaign(file: str, given: Options, name: str = "", **changes: Any) -> CampaignResults:
@@ -94,11 +94,14 @@ def campaign(file: str, given: Options, name: str = "", **changes: Any) -> Campa
 
 def summary(values: pd.Series, digits: int = 2) -> Row:
     """Mean with its 95 % confidence interval, and the middle 90 % of the trials."""
-    kept = values[np.isfinite(values)].to_numpy()
-    mean, half = float(kept.mean()), 1.96 * float(kept.std(ddof=1)) / np.sqrt(len(kept)) if len(kept) > 1 else np.nan
-    five, middle, ninety_five = np.percentile(kept, [5, 50, 95])
+    finite = values[np.isfinite(values)].to_numpy()
+    mean, half = (
+        float(finite.mean()),
+        1.96 * float(finite.std(ddof=1)) / np.sqrt(len(finite)) if len(finite) > 1 else np.nan,
+    )
+    five, middle, ninety_five = np.percentile(finite, [5, 50, 95])
     row = {"mean": mean, "low": mean - half, "high": mean + half, "p5": five, "median": middle, "p95": ninety_five}
-    return {name: round(float(value), digits) for name, value in row.items()} | {"trials": len(kept)}
+    return {name: round(float(value), digits) for name, value in row.items()} | {"trials": len(finite)}
 
 
 def write_table(path: Path, rows: Sequence[Row]) -> None:
@@ -139,10 +142,10 @@ def write_manifest(given: Options, made: Made) -> None:
     """``manifest.json``: command, seed, trials, versions, commit, and the experiment's files of settings."""
     words = [given.here.name[:2], *given.words, *([] if made.trials is None else ["--trials", str(made.trials)])]
     settings = {f.name: f.read_text(encoding="utf-8") for f in sorted(given.here.glob("*.toml"))}
-    own = {"seed": made.seed, "trials": made.trials, "settings": settings, **made.more}
+    details = {"seed": made.seed, "trials": made.trials, "settings": settings, **made.more}
     folder = made.folder or given.out
     folder.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(manifest(" ".join(["python -m experiments", *words]), **own), indent=1) + "\n"
+    text = json.dumps(manifest(" ".join(["python -m experiments", *words]), **details), indent=1) + "\n"
     steps = given.words if made.folder is None else ()  # steps of a whole have manifests of their own
     (folder / f"manifest{'-'.join(['', *steps])}.json").write_text(text, encoding="utf-8")
 

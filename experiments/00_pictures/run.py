@@ -1,4 +1,4 @@
-"""The picture of the README: the paper's workshop with its shadow cones, drawn from the scenario alone."""
+"""Picture of the README: the paper's workshop with its shadow cones, drawn from the scenario alone."""
 
 from PIL import Image
 

@@ -1,4 +1,4 @@
-"""Where the paper's figures lie: Table 3 in the simulated workshop, Table 4 in the simulated laboratory."""
+"""Figures of the paper in their simulated distributions: Table 3 in the workshop, Table 4 in the laboratory."""
 
 from itertools import product
 
@@ -39,8 +39,8 @@ def named(
 ) -> dict[str, float]:
     """Both criteria [um], with the largest of all single terms, before any average."""
     ends = (("distance", distance, length), ("coordinate", coordinate, place))
-    sizes = {f"{kind}_{{}}_{which}": size for kind, found, single in ends
-             for which, size in (("mean", found.mean), ("max", found.maximum), ("single", single))}  # fmt: skip
+    sizes = {f"{kind}_{{}}_{which}": size for kind, measure, single in ends
+             for which, size in (("mean", measure.mean), ("max", measure.maximum), ("single", single))}  # fmt: skip
     return {name: float(size) / MICROMETRE for name, size in sizes.items()}
 
 
@@ -53,8 +53,10 @@ def pair_distances(cloud: Floats) -> Floats:
 def workshop_figures(clouds: Floats, names: tuple[str, ...]) -> dict[str, float]:
     """Both criteria of clouds (S, T, 3) [m]."""
     lengths, placed = pair_distances(clouds), align_to_first_station(clouds, names)
-    gaps, apart = lengths - lengths.mean(axis=0), np.linalg.norm(placed[:, None] - placed[None], axis=3)
-    return named(distance_disagreement(clouds), coordinate_disagreement(placed), np.abs(gaps).max(), apart.max())
+    gaps, point_distances = lengths - lengths.mean(axis=0), np.linalg.norm(placed[:, None] - placed[None], axis=3)
+    return named(
+        distance_disagreement(clouds), coordinate_disagreement(placed), np.abs(gaps).max(), point_distances.max()
+    )
 
 
 def laboratory_figures(clouds: Floats, nominal: Floats) -> dict[str, float]:
@@ -85,21 +87,23 @@ def figures_of(campaign: CampaignFile, cell: CampaignCell) -> dict[tuple[str, st
         nominal = {i: measure_points_by_cmm(*true, int(block.trial_numbers[i])) for i in wanted}
         for method, calibrator in zip(campaign.methods, calibrators, strict=True):
             values = calibrator.calibrate(block, wanted).instrument_values
-            for table, judge, own in (("workshop", here, block), ("laboratory", there, elsewhere)):
-                raw = judge.mean_points_by_station(own.reading_deviations)
-                corrected = judge.mean_points_by_station(own.reading_deviations, calibrator.construction, values)
+            for table, judge, batch in (("workshop", here, block), ("laboratory", there, elsewhere)):
+                raw = judge.mean_points_by_station(batch.reading_deviations)
+                corrected = judge.mean_points_by_station(batch.reading_deviations, calibrator.construction, values)
                 for i in wanted:
                     row = {}
                     for when, clouds in (("before", raw), ("after", corrected)):
-                        one = clouds[..., i]
-                        sizes = workshop_figures(one, names) if judge is here else laboratory_figures(one, nominal[i])
+                        cloud = clouds[..., i]
+                        sizes = (
+                            workshop_figures(cloud, names) if judge is here else laboratory_figures(cloud, nominal[i])
+                        )
                         row |= {name.format(when): size for name, size in sizes.items()}
                     trials.setdefault((table, method.title), []).append(row)
-    found = {place: pd.DataFrame(rows) for place, rows in trials.items()}
-    for kind, columns in product(("coordinate", "distance"), found.values()):
+    trial_tables = {place: pd.DataFrame(rows) for place, rows in trials.items()}
+    for kind, columns in product(("coordinate", "distance"), trial_tables.values()):
         gain = 1 - columns[f"{kind}_after_mean"] / columns[f"{kind}_before_mean"]
         columns[f"{kind}_improvement_percent"] = 100 * gain
-    return found
+    return trial_tables
 
 
 def rows_of(columns: pd.DataFrame, cell: str, method: str, table: str) -> list[dict[str, object]]:
@@ -133,18 +137,18 @@ def figure_rows(columns: pd.DataFrame, table: str) -> list[TrialDistribution]:
 
 def run(given: Options) -> Made:
     campaign, cells = cells_of(given)
-    found = list(run_parallel(figures_of, [(campaign, cell) for cell in cells], given.jobs))
+    cell_tables = list(run_parallel(figures_of, [(campaign, cell) for cell in cells], given.jobs))
     for table, name in (("workshop", "table_3"), ("laboratory", "table_4")):
         rows = [
             row
-            for cell, own in zip(cells, found, strict=True)
+            for cell, tables in zip(cells, cell_tables, strict=True)
             for method in campaign.methods
-            for row in rows_of(own[table, method.title], cell.levels["title"], method.title, table)
+            for row in rows_of(tables[table, method.title], cell.levels["title"], method.title, table)
         ]
         write_table(given.out / f"{name}.csv", rows)
-        for cell, own in zip(cells, found, strict=True):
+        for cell, tables in zip(cells, cell_tables, strict=True):
             if {key: cell.levels[key] for key in DRAWN[table]} == DRAWN[table]:
-                figure = distributions_figure(figure_rows(own[table, "eq. 9"], table))
+                figure = distributions_figure(figure_rows(tables[table, "eq. 9"], table))
                 figure.legends[0].set_title(f"{table}, {cell.levels['title']}, calibrated by eq. 9")
                 figure.legends[0].set_alignment("left")
                 write_figure(given.out / f"{name}.svg", figure)

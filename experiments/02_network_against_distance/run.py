@@ -1,4 +1,4 @@
-"""The paper's method and the network adjustment on the same trials, judged by what only a simulation knows."""
+"""Comparison of the paper's method with the network adjustment on the same trials, by errors of new points."""
 
 from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, write_figure, write_pairs
 from ltsim.reports.figures.campaign import sweep_panels_figure, sweep_points

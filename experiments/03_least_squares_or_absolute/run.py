@@ -1,4 +1,4 @@
-"""Least squares and least absolute deviations of the paper's objective, clean and with outliers."""
+"""Least squares and least absolute deviations of the paper's objective, with and without outliers."""
 
 from dataclasses import replace
 
@@ -52,14 +52,14 @@ class WithoutOutliers:
         use = np.ones(recording.readings.shape, dtype=bool)
         adjustment = adjust(recording, self.construction, reading_mask=use)
         for _ in range(MOST_REMOVED):
-            found = adjustment.flagged_readings()
-            if not found:
+            flagged = adjustment.flagged_readings()
+            if not flagged:
                 break
-            use[found[0].pointing_index, found[0].observable_column] = False
+            use[flagged[0].pointing_index, flagged[0].observable_column] = False
             adjustment = adjust(recording, self.construction, reading_mask=use, start_state=adjustment.state)
         return adjustment
 
-    def difference(self, block: TrialBatch, trial: int, found: CalibratedBatch) -> float:
+    def difference(self, block: TrialBatch, trial: int, calibrated: CalibratedBatch) -> float:
         """It is the full solver."""
         return float("nan")
 
@@ -85,18 +85,18 @@ def errors_of(campaign: CampaignFile, cell: CampaignCell, percent: float) -> dic
         block = with_outliers(here.true_network, clean, percent, campaign.seed)
         wanted = np.flatnonzero(block.trial_numbers < campaign.trials)
         work = TrialBatchRowBuilder(campaign, here, block, ready.validation_evaluator, wanted, wanted[:0])
-        named = {method.title: own for method, own in zip(campaign.methods, calibrators, strict=True)}
+        named = {method.title: calibrator for method, calibrator in zip(campaign.methods, calibrators, strict=True)}
         for title, calibrator in (named | {"network, outliers removed": WithoutOutliers(here.true_network)}).items():
-            columns = {name: own[wanted] for name, own in work.method_columns(calibrator).items()}
+            columns = {name: values[wanted] for name, values in work.method_columns(calibrator).items()}
             parts.setdefault(title, []).append(pd.DataFrame(columns))
-    return {title: pd.concat(own) for title, own in parts.items()}
+    return {title: pd.concat(tables) for title, tables in parts.items()}
 
 
 def run(given: Options) -> Made:
     campaign, (cell,) = cells_of(given)
-    found = list(run_parallel(errors_of, [(campaign, cell, percent) for percent in PERCENT], given.jobs))
+    columns_by_percent = list(run_parallel(errors_of, [(campaign, cell, percent) for percent in PERCENT], given.jobs))
     table, rows = [], []
-    for percent, methods in zip(PERCENT, found, strict=True):
+    for percent, methods in zip(PERCENT, columns_by_percent, strict=True):
         for title, columns in methods.items():
             new, floor = summary(columns[ERROR]), summary(columns["new_point_error_true_parameters_um"])
             about = {"outliers_percent": percent, "method": title, "noise_floor_um": floor["mean"]}

@@ -61,21 +61,21 @@ def gama_result(name: str, folder: str | Path = "gama-3d-networks") -> GamaResul
     )  # fmt: skip
 
 
-def beside(ours: Adjustment, theirs: GamaResult) -> tuple[Floats, Floats]:
+def coordinates_and_sigmas(ours: Adjustment, theirs: GamaResult) -> tuple[Floats, Floats]:
     """Our value and its standard deviation (k,) [m], by the stated noise, of each of their coordinates.
 
     Theirs are of targets, or of marks under stations.
     """
-    recording, marks, found = ours.recording, ours.problem.marks, []
+    recording, marks, entries = ours.recording, ours.problem.marks, []
     for name, axis in zip(theirs.names, theirs.axis, strict=True):
         if name in recording.targets:
             at = recording.targets.index(name)
-            found.append((ours.state.target_points[at, axis], ours.target_covariances[at, axis, axis]))
+            entries.append((ours.state.target_points[at, axis], ours.target_covariances[at, axis, axis]))
         else:
             at = marks.mark_names.index(name)
             place = ours.state.station_positions[at] - marks.instrument_offsets[at]
-            found.append((place[axis], ours.pose_covariance[at, axis, axis]))
-    value, variance = np.array(found).T
+            entries.append((place[axis], ours.pose_covariance[at, axis, axis]))
+    value, variance = np.array(entries).T
     return value, np.sqrt(variance)
 
 
@@ -85,14 +85,14 @@ ROUNDING = 1e-4 / np.sqrt(12)
 """[m] Standard deviation of coordinates printed to a tenth of a millimetre."""
 
 
-def scanner(known: bool = True) -> Recording:
+def scanner(has_points: bool = True) -> Recording:
     """The two scans of the scanner exercise, as readings; object points known or not."""
     folder = RECORDINGS / "eth-tls-calibration-simulated"
     scans = [_points(folder / f"PPE_TLS_T1_Scan{i}.dat") for i in (1, 2)]
-    return scanner_recording(scans, _points(folder / "PPE_TLS_T1_OP.txt"), known)
+    return scanner_recording(scans, _points(folder / "PPE_TLS_T1_OP.txt"), has_points)
 
 
-def scanner_recording(scans: list[dict[str, Floats]], objects: dict[str, Floats], known: bool) -> Recording:
+def scanner_recording(scans: list[dict[str, Floats]], objects: dict[str, Floats], has_points: bool) -> Recording:
     """Scanned points in the scanner's frame as a recording; noise is the rounding of coordinates."""
     rows = [(s, n, p) for s, scan in enumerate(scans) for n, p in scan.items()]
     points = np.array([p for _, _, p in rows])
@@ -103,7 +103,7 @@ def scanner_recording(scans: list[dict[str, Floats]], objects: dict[str, Floats]
     targets = {n: Target(known_mm=tuple(1e3 * p), known_sigma_mm=1e3 * ROUNDING) for n, p in objects.items()}
     ones = np.ones(len(rows), dtype=np.int64)
     return Recording(
-        Setup(instrument=Instrument(prior=wide), targets=targets if known else {}),
+        Setup(instrument=Instrument(prior=wide), targets=targets if has_points else {}),
         tuple(f"S{i + 1}" for i in range(len(scans))), names,
         np.array([s for s, _, _ in rows]), np.array([names.index(n) for _, n, _ in rows]),
         ones, ones, np.arange(len(rows), dtype=np.float64), readings, dict(zip(SIGMA_COLUMNS, sigma, strict=True)),
@@ -112,9 +112,9 @@ def scanner_recording(scans: list[dict[str, Floats]], objects: dict[str, Floats]
 
 def _points(file: Path) -> dict[str, Floats]:
     """Number and coordinates [m] of every line that begins with four numbers."""
-    found = {}
+    points = {}
     for line in file.read_text(encoding="latin-1").splitlines():
         words = line.partition("%")[0].split()
         if len(words) >= 4 and words[0].isdigit():
-            found[words[0]] = np.array([float(word) for word in words[1:4]])
-    return found
+            points[words[0]] = np.array([float(word) for word in words[1:4]])
+    return points

@@ -1,4 +1,4 @@
-"""Networks that nobody here made: GNU Gama's, CERN's trackers, a ring, a total station, a scanner with known truth.
+"""Adjustments of real networks: GNU Gama, CERN, a storage ring, a total station; a simulated scanner with its truth.
 
     python -m experiments 04 [gama] [own] [cern] [ring] [geoeasy] [scanner]
 
@@ -29,9 +29,9 @@ from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings import Recording, read
 from ltsim.recordings.recording import HEIGHT_COLUMNS, OBSERVABLES
 
-from .published import GAMA, SCANNER_TRUTH, beside, gama_result, scanner, scanner_recording
+from .published import GAMA, SCANNER_TRUTH, coordinates_and_sigmas, gama_result, scanner, scanner_recording
 
-OWN = RECORDINGS.parents[1] / "gama" / "tests"
+GAMA_TESTS = RECORDINGS.parents[1] / "gama" / "tests"
 AGREE_UM = 5.0
 """Half of the last digit that gama-local prints of a coordinate."""
 UNIT = (MILLIMETRE, ARCSECOND, ARCSECOND)
@@ -58,44 +58,44 @@ def gama(out: Path) -> None:
     show_table(out / "gama.csv", rows)
 
 
-def own(out: Path) -> None:
+def gama_tests(out: Path) -> None:
     """Networks of GNU Gama's own tests beside the results that it publishes of them, where its repository is there."""
-    found: dict[str, list[tuple[str, float]]] = {}
-    files = sorted(file for file in OWN.rglob("*.gkf") if file.with_suffix(".xml").exists())
+    outcomes: dict[str, list[tuple[str, float]]] = {}
+    files = sorted(file for file in GAMA_TESTS.rglob("*.gkf") if file.with_suffix(".xml").exists())
     if not files:
-        tell(f"own: left out, {OWN.parents[1].name} is not beside the checkout")
+        tell(f"gama-tests: left out, {GAMA_TESTS.parents[1].name} is not beside the checkout")
         return
     for file in files:
         try:
             ours, theirs = adjust(read(file)), gama_result(file.stem, file.parent)
         except RecordError as refused:
-            found.setdefault(f"refused: {str(refused).partition(': ')[2].partition(',')[0]}", []).append(
+            outcomes.setdefault(f"refused: {str(refused).partition(': ')[2].partition(',')[0]}", []).append(
                 (file.stem, 0.0)
             )
             continue
-        off = 1e6 * float(np.abs(beside(ours, theirs)[0] - theirs.value).max())
+        off = 1e6 * float(np.abs(coordinates_and_sigmas(ours, theirs)[0] - theirs.value).max())
         agree = ours.solution.has_converged and off < AGREE_UM
-        found.setdefault("agree" if agree else "differ", []).append((file.stem, off))
-    show_table(out / "gama_own.csv", [
+        outcomes.setdefault("agree" if agree else "differ", []).append((file.stem, off))
+    show_table(out / "gama_tests.csv", [
         {
-            "what": what, "networks": len(some), "worst_um": f"{max(off for _, off in some):.1f}",
-            "names": " ".join(sorted(name for name, _ in some)) if what == "differ" else "",
+            "what": what, "networks": len(entries), "worst_um": f"{max(off for _, off in entries):.1f}",
+            "names": " ".join(sorted(name for name, _ in entries)) if what == "differ" else "",
         }
-        for what, some in sorted(found.items())
+        for what, entries in sorted(outcomes.items())
     ])  # fmt: skip
 
 
 def difference(ours: Adjustment, name: str) -> np.ndarray:
     """Coordinates less those of gama-local (k,) [m]."""
     theirs = gama_result(name)
-    return beside(ours, theirs)[0] - theirs.value
+    return coordinates_and_sigmas(ours, theirs)[0] - theirs.value
 
 
 def sigma_ratio(ours: Adjustment, name: str) -> np.ndarray:
     """Standard deviations over those of gama-local, both by the stated noise (k,)."""
     theirs = gama_result(name)
     used = theirs.aposteriori / theirs.apriori if name == "2019-prager" else 1.0
-    return beside(ours, theirs)[1] * used / theirs.sigma
+    return coordinates_and_sigmas(ours, theirs)[1] * used / theirs.sigma
 
 
 def to_marks(ours: Adjustment) -> Recording:
@@ -150,11 +150,11 @@ def cern(out: Path) -> None:
         recording = read(RECORDINGS / "cern-lgc-trackers" / file)
         for way, options in WAYS.items():
             start = time.process_time()
-            found = adjust(recording, **options)
+            adjustment = adjust(recording, **options)
             used = time.process_time() - start
-            summary.append({"network": name, "way": way, **state_of(found), "seconds": f"{used:.2f}"})
-        misfits += [{"network": name, **row} for row in what_does_not_fit(found)]
-        noise += [{"network": name, **row} for row in components(found)]
+            summary.append({"network": name, "way": way, **state_of(adjustment), "seconds": f"{used:.2f}"})
+        misfits += [{"network": name, **row} for row in what_does_not_fit(adjustment)]
+        noise += [{"network": name, **row} for row in components(adjustment)]
     show_table(out / "cern.csv", summary)
     show_table(out / "cern_misfits.csv", misfits)
     show_table(out / "cern_noise.csv", noise)
@@ -167,37 +167,38 @@ WAYS: dict[str, dict[str, object]] = {
 }
 
 
-def state_of(found: Adjustment) -> dict[str, object]:
+def state_of(adjustment: Adjustment) -> dict[str, object]:
     """The figures of an adjustment."""
-    recording = found.recording
+    recording = adjustment.recording
     return {
         "set_ups": len(recording.stations), "targets": len(recording.targets), "pointings": len(recording),
-        "left_out": int(found.is_rejected_reading.sum()), "dof": found.dof, "sigma0": f"{found.sigma0:.4f}",
-        "outliers_w": len(found.flagged_readings()),
-        "outliers_tau": len(found.flagged_readings(uses_estimated_noise=True)),
+        "left_out": int(adjustment.is_rejected_reading.sum()), "dof": adjustment.dof,
+        "sigma0": f"{adjustment.sigma0:.4f}",
+        "outliers_w": len(adjustment.flagged_readings()),
+        "outliers_tau": len(adjustment.flagged_readings(uses_estimated_noise=True)),
     }  # fmt: skip
 
 
-def what_does_not_fit(found: Adjustment) -> Rows:
+def what_does_not_fit(adjustment: Adjustment) -> Rows:
     """Readings left out, with the error they show against the network without them."""
     rows: Rows = []
-    for i, j in np.argwhere(found.is_rejected_reading):
-        miss, range_ = found.residuals[i, j], found.recording.readings[i, 0]
+    for i, j in np.argwhere(adjustment.is_rejected_reading):
+        miss, range_ = adjustment.residuals[i, j], adjustment.recording.readings[i, 0]
         rows.append({
-            "row": int(i) + 1, "set_up": int(found.recording.station[i]) + 1, "reading": OBSERVABLES[j],
+            "row": int(i) + 1, "set_up": int(adjustment.recording.station[i]) + 1, "reading": OBSERVABLES[j],
             "error": f"{miss / UNIT[j]:.3f} {'mm' if j == 0 else 'arcsec'}",
             "error_at_target_mm": f"{1e3 * miss * (1.0 if j == 0 else range_):.3f}",
-            "in_sigma": f"{miss / found.problem.reading_sigmas[i, j]:.1f}", "range_m": f"{range_:.1f}",
+            "in_sigma": f"{miss / adjustment.problem.reading_sigmas[i, j]:.1f}", "range_m": f"{range_:.1f}",
         })  # fmt: skip
     return rows
 
 
-def components(found: Adjustment) -> Rows:
+def components(adjustment: Adjustment) -> Rows:
     """Variance components with instruments numbered."""
-    number = {name: i + 1 for i, name in enumerate(found.recording.instruments)}
+    number = {name: i + 1 for i, name in enumerate(adjustment.recording.instruments)}
     return [{"instrument": number.get(c.instrument, "all"), "reading": c.observable, "factor": f"{c.noise_factor:.3f}",
              "sigma": f"{c.noise_factor_sigma:.3f}", "redundancy": f"{c.redundancy:.1f}"}
-            for c in found.variance_components]  # fmt: skip
+            for c in adjustment.variance_components]  # fmt: skip
 
 
 RING = "field/esrf.lgc2"
@@ -209,8 +210,8 @@ def ring(out: Path) -> None:
     """How far what each tracker leaves by distance in half of its set-ups foretells what it leaves in the others."""
     recording = read(RECORDINGS / RING)
     space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction()))
-    left = np.full(space.is_used_reading.shape, np.nan)
-    left[space.is_used_reading] = space.whitened_residuals[: int(space.is_used_reading.sum())]
+    residuals = np.full(space.is_used_reading.shape, np.nan)
+    residuals[space.is_used_reading] = space.whitened_residuals[: int(space.is_used_reading.sum())]
     distance, tracker = recording.readings[:, 0], recording.instrument
     half = np.zeros(len(recording), dtype=int)
     for owner in np.unique(tracker):
@@ -219,23 +220,23 @@ def ring(out: Path) -> None:
     bins = np.digitize(distance, EDGES_M)
     rows: Rows = []
     for j, observable in enumerate(OBSERVABLES):
-        use = np.isfinite(left[:, j])
+        use = np.isfinite(residuals[:, j])
         groups = {"distance": bins, "distance, each tracker": 100 * tracker + bins, "tracker": tracker}
         for by, group in groups.items():
-            told = sum(foretold(left[use, j], group[use], half[use] == k) for k in (0, 1))
-            whole = float(np.sum(left[use, j] ** 2))
-            means = [left[use & (group == g), j] for g in np.unique(group)]
+            squares = sum(prediction_error(residuals[use, j], group[use], half[use] == k) for k in (0, 1))
+            whole = float(np.sum(residuals[use, j] ** 2))
+            means = [residuals[use & (group == g), j] for g in np.unique(group)]
             clear = sum(len(m) > 1 and abs(m.mean()) > CLEAR * m.std() / np.sqrt(len(m)) for m in means)
             rows.append({"observable": observable, "means_by": by, "chi2": f"{whole:.0f}",
-                         "foretold_share": f"{1 - told / whole:.3f}", "means": len(means),
+                         "predicted_fraction": f"{1 - squares / whole:.3f}", "means": len(means),
                          f"beyond_{CLEAR:.0f}_sigma": clear})  # fmt: skip
     show_table(out / "ring.csv", rows)
 
 
-def foretold(left: np.ndarray, group: np.ndarray, asked: np.ndarray) -> float:
+def prediction_error(residuals: np.ndarray, group: np.ndarray, predicted: np.ndarray) -> float:
     """Sum of squares of residuals that are `asked`, less the means of the others of their group."""
-    means = {g: left[(group == g) & ~asked].mean() for g in np.unique(group[~asked])}
-    return float(np.sum((left[asked] - [means.get(g, 0.0) for g in group[asked]]) ** 2))
+    means = {g: residuals[(group == g) & ~predicted].mean() for g in np.unique(group[~predicted])}
+    return float(np.sum((residuals[predicted] - [means.get(g, 0.0) for g in group[predicted]]) ** 2))
 
 
 def geoeasy(out: Path) -> None:
@@ -244,11 +245,11 @@ def geoeasy(out: Path) -> None:
     rows: Rows = []
     for name, built in (("none", ideal_construction()), ("16", misalignment_construction())):
         for way, options in (("as stated", {}), ("noise estimated", {"noise_grouping": "observable"})):
-            found = adjust(recording, built, robust=bool(options), **options)
-            factors = {c.observable: f"{c.noise_factor:.2f}" for c in found.variance_components}
-            rows.append({"parameters": name, "way": way} | state_of(found) | factors)
+            adjustment = adjust(recording, built, robust=bool(options), **options)
+            factors = {c.observable: f"{c.noise_factor:.2f}" for c in adjustment.variance_components}
+            rows.append({"parameters": name, "way": way} | state_of(adjustment) | factors)
     show_table(out / "geoeasy.csv", rows)
-    values, sigma = found.state.instrument_parameters[0], np.sqrt(np.diag(found.first_instrument_covariance))
+    values, sigma = adjustment.state.instrument_parameters[0], np.sqrt(np.diag(adjustment.first_instrument_covariance))
     show_table(out / "geoeasy_parameters.csv", [
         {"parameter": p.name, "value": f"{v / p.si_per_display_unit:.2f}", "sigma": f"{s / p.si_per_display_unit:.2f}",
          "unit": p.unit}
@@ -265,52 +266,54 @@ TRUTH = np.array([SCANNER_TRUTH[p.name] for p in PARAMETERS])
 def scanner_truth(out: Path) -> None:
     """Four parameters of a scanner that others simulated, to first order as they did and by the exact chain."""
     rows: Rows = []
-    for known in (True, False):
-        recording = scanner(known)
-        errors = np.array([fitted(rounded(trial), known)[0] - TRUTH for trial in range(80)])
-        found, sigma = fitted(recording, known)
+    for has_points in (True, False):
+        recording = scanner(has_points)
+        errors = np.array([fitted(rounded(trial), has_points)[0] - TRUTH for trial in range(80)])
+        estimates, sigma = fitted(recording, has_points)
         exact = adjust(recording, misalignment_construction(FIRST_ORDER)).state.instrument_parameters[0] / UNITS
-        made_again = rounded(None) if known else without_points(rounded(None))
+        made_again = rounded(None) if has_points else without_points(rounded(None))
         form = adjust(made_again, misalignment_construction(FIRST_ORDER)).state.instrument_parameters[0] / UNITS - TRUTH
-        gap = found - TRUTH
+        gap = estimates - TRUTH
         joint = float(gap @ np.linalg.solve(np.cov(errors.T), gap))
         for k, p in enumerate(PARAMETERS):
             rows.append({
-                "points": "known" if known else "unknown", "parameter": p.name, "unit": p.unit, "truth": TRUTH[k],
-                "found": f"{found[k]:.1f}", "sigma": f"{sigma[k]:.1f}",
+                "points": "given" if has_points else "unknown", "parameter": p.name, "unit": p.unit, "truth": TRUTH[k],
+                "estimate": f"{estimates[k]:.1f}", "sigma": f"{sigma[k]:.1f}",
                 "spread_by_rounding": f"{errors[:, k].std():.1f}",
-                "off_in_spreads": f"{gap[k] / errors[:, k].std():.1f}", "joint_p": f"{stats.chi2.sf(joint, 4):.2f}",
+                "error_in_spreads": f"{gap[k] / errors[:, k].std():.1f}", "joint_p": f"{stats.chi2.sf(joint, 4):.2f}",
                 "exact_chain": f"{exact[k]:.1f}", "exact_less_first_order": f"{form[k]:.2f}",
             })  # fmt: skip
     show_table(out / "scanner.csv", rows)
-    show_table(out / "scanner_choice.csv", [row for known in (True, False) for row in choice_of_parameters(known)])
+    show_table(
+        out / "scanner_choice.csv", [row for has_points in (True, False) for row in choice_of_parameters(has_points)]
+    )
 
 
-def choice_of_parameters(known: bool) -> Rows:
+def choice_of_parameters(has_points: bool) -> Rows:
     """`ltsim calibrate --parameters` with the four that the exercise has, beside all sixteen."""
-    recording = scanner(known)
+    recording = scanner(has_points)
     every, four = (
         calibrate_network(recording, recommend_measurements=False, choose_correction=False, parameter_selection=choice)
         for choice in (ParameterSelection(), ParameterSelection(estimated_parameters=tuple(SCANNER_TRUTH)))
     )
     rows: Rows = []
     for p in PARAMETERS:
-        row: dict[str, object] = {"points": "known" if known else "unknown", "parameter": p.name, "unit": p.unit,
+        row: dict[str, object] = {"points": "given" if has_points else "unknown", "parameter": p.name, "unit": p.unit,
                                   "truth": SCANNER_TRUTH[p.name]}  # fmt: skip
         sigmas = []
-        for label, found in (("16", every), ("4", four)):
-            k = found.instrument_parameter_names.index(p.name)
-            sigmas.append(found.sigma[0, k])
-            row[f"found_{label}"] = f"{found.estimates[0, k] / p.si_per_display_unit:.1f}"
+        for label, calibration in (("16", every), ("4", four)):
+            k = calibration.instrument_parameter_names.index(p.name)
+            sigmas.append(calibration.sigma[0, k])
+            row[f"estimate_{label}"] = f"{calibration.estimates[0, k] / p.si_per_display_unit:.1f}"
             row[f"sigma_{label}"] = f"{sigmas[-1] / p.si_per_display_unit:.2f}"
         rows.append(row | {"sigma_ratio": f"{sigmas[0] / sigmas[1]:.1f}"})
     return rows
 
 
-def fitted(recording: Recording, known: bool) -> tuple[np.ndarray, np.ndarray]:
+def fitted(recording: Recording, has_points: bool) -> tuple[np.ndarray, np.ndarray]:
     """Parameters and their standard deviations, to first order."""
-    found = adjust(recording if known else without_points(recording), effects=FIRST_ORDER)
-    return found.state.extra_parameters / UNITS, np.sqrt(np.diag(found.effect_covariance)) / UNITS
+    adjustment = adjust(recording if has_points else without_points(recording), effects=FIRST_ORDER)
+    return adjustment.state.extra_parameters / UNITS, np.sqrt(np.diag(adjustment.effect_covariance)) / UNITS
 
 
 def without_points(recording: Recording) -> Recording:
@@ -339,7 +342,14 @@ def rounded(trial: int | None) -> Recording:
     return scanner_recording(scans, objects, True)
 
 
-STEPS = {"gama": gama, "own": own, "cern": cern, "ring": ring, "geoeasy": geoeasy, "scanner": scanner_truth}
+STEPS = {
+    "gama": gama,
+    "gama-tests": gama_tests,
+    "cern": cern,
+    "ring": ring,
+    "geoeasy": geoeasy,
+    "scanner": scanner_truth,
+}
 
 
 def run(given: Options) -> Made:

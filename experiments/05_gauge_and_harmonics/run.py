@@ -1,4 +1,4 @@
-"""Gauges of 0 to 6 reflectors; harmonics up to order 2, 3 and 4 fitted to truths that go beyond the second."""
+"""Calibrations with gauges of 0 to 6 reflectors, and with harmonics of order 2, 3 and 4."""
 
 from dataclasses import replace
 

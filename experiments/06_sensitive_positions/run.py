@@ -1,4 +1,4 @@
-"""Where a unit of each error moves a point the most, and which heights of the reflectors make the best calibration."""
+"""Sensitivity of a point to each instrument error by elevation, and heights of reflectors for a calibration."""
 
 from itertools import cycle
 from textwrap import fill
@@ -80,7 +80,7 @@ def run(given: Options) -> Made:
     for heights in DESIGNS:
         title = ", ".join(f"{height / 1000:g}" for height in heights) + " m"
         dealt = zip(scenario.targets.items(), cycle(heights), strict=False)
-        moved = {f"targets.{name}.position_mm": [*own.position_mm[:2], height] for (name, own), height in dealt}
+        moved = {f"targets.{name}.position_mm": [*target.position_mm[:2], height] for (name, target), height in dealt}
         cells.append({"title": title if len(heights) <= 3 else f"{len(heights)} heights"} | moved)
     results = campaign("config.toml", given, cells=cells)
     figure = cell_rows_figure(sweep_points(results, ERROR, "title"), x_label=NEW_POINTS)

@@ -1,4 +1,4 @@
-"""The reflector on the roundness table: what the probe and the interferometer tell apart, and what 13 um can mean."""
+"""Bench test of a reflector on a roundness table: errors that the probe and the interferometer separate."""
 
 from typing import Any
 
@@ -34,11 +34,11 @@ def row_of(results: list[ReflectorBenchEstimates], table: Floats) -> dict[str, f
     """How far the found tables are from the one put in [um], and the explanation by a vertex."""
     true = table - table[MIDDLE]
 
-    def rms(found: list[Floats]) -> float:
-        return float(np.sqrt(np.mean((np.array(found) - true) ** 2))) / MICROMETRE
+    def rms(tables: list[Floats]) -> float:
+        return float(np.sqrt(np.mean((np.array(tables) - true) ** 2))) / MICROMETRE
 
-    def at_edge(found: list[Floats]) -> float:
-        return float(np.percentile(np.abs(np.array(found) - true).max(axis=1), 95)) / MICROMETRE
+    def at_edge(tables: list[Floats]) -> float:
+        return float(np.percentile(np.abs(np.array(tables) - true).max(axis=1), 95)) / MICROMETRE
 
     vertices = [
         fit_vertex_offset(INCIDENCE_TABLE_ANGLES, r.range_errors, float(r.range_error_sigmas.max())) for r in results
@@ -51,7 +51,7 @@ def row_of(results: list[ReflectorBenchEstimates], table: Floats) -> dict[str, f
         "worst_95_corrected_um": at_edge([r.range_errors for r in results]),
         "vertex_side_um": float(np.mean([v.side_offset for v in vertices])) / MICROMETRE,
         "vertex_axial_um": float(np.mean([v.axial_offset for v in vertices])) / MICROMETRE,
-        "left_by_vertex_um": float(np.mean([v.unexplained_rms for v in vertices])) / MICROMETRE,
+        "unexplained_by_vertex_um": float(np.mean([v.unexplained_rms for v in vertices])) / MICROMETRE,
     }
 
 
@@ -59,13 +59,13 @@ def panel(name: str, table: Floats, results: list[ReflectorBenchEstimates]) -> l
     """How far the found tables are from the one put in, with and without the probe: mean and middle 90 % of trials."""
     lines = {
         "lengths as recorded": [r.uncorrected_lengths for r in results],
-        "eccentricity taken off": [r.range_errors for r in results],
+        "eccentricity removed": [r.range_errors for r in results],
     }
     rows = []
     for line, tables in lines.items():
-        found = np.array(tables) - (table - table[MIDDLE])
-        mean, (five, ninety_five) = found.mean(axis=0), np.percentile(found, [5, 95], axis=0)
-        half = 1.96 * found.std(axis=0) / np.sqrt(len(found))
+        errors = np.array(tables) - (table - table[MIDDLE])
+        mean, (five, ninety_five) = errors.mean(axis=0), np.percentile(errors, [5, 95], axis=0)
+        half = 1.96 * errors.std(axis=0) / np.sqrt(len(errors))
         columns = np.array([mean, mean - half, mean + half, five, ninety_five]) / MICROMETRE
         rows += [
             SweepPoint(a, line, name, *c)
@@ -78,7 +78,7 @@ def run(given: Options) -> Made:
     config = given.config
     trials, seed = given.trials or config["trials"], config["seed"]
     rows: list[dict[str, Any]] = []
-    shown: list[SweepPoint] = []
+    points: list[SweepPoint] = []
     for name, reflector in config["reflectors"].items():
         table = table_of(reflector)
         for probed, (first, last, step) in config["probe_angles_deg"].items():
@@ -87,9 +87,9 @@ def run(given: Options) -> Made:
                 results = [trial(table, size * MICROMETRE, probe, seed, i) for i in range(trials)]
                 rows.append({"reflector": name, "probe": probed, "eccentricity_um": size} | row_of(results, table))
                 if size == 5.0 and probed == "full turn":
-                    shown += panel(name, table, results)
+                    points += panel(name, table, results)
         tell(f"{name}: done")
     write_table(given.out / "bench.csv", rows)
-    label = "table found less table put in [µm]"
-    write_figure(given.out / "tables.svg", sweep_panels_figure(shown, statistic_title=label, x_title="incidence [°]"))
+    label = "estimated minus true range error [µm]"
+    write_figure(given.out / "tables.svg", sweep_panels_figure(points, statistic_title=label, x_title="incidence [°]"))
     return Made(seed, trials)

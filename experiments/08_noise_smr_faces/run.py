@@ -1,4 +1,4 @@
-"""Noise, faces and reflectors: what each does to a calibration, judged on held-out points."""
+"""Effect of noise, faces and reflectors on a calibration, evaluated at held-out points."""
 
 from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, write_figure, write_pairs
 from ltsim.reports.figures.campaign import sweep_panels_figure, sweep_points

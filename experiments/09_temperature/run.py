@@ -1,4 +1,4 @@
-"""Parameters found at 27 C, applied at 20 C: how much the instrument may change before they stop to help."""
+"""Instrument parameters from 27 C applied at 20 C: limit of the thermal change up to which they help."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""How much better than the paper's layout can five stations stand, and how few would do? Checked by simulation."""
+"""Layouts of five and fewer stations from a search, compared with the paper's layout and checked by simulation."""
 
 from itertools import product
 from pathlib import Path
@@ -59,12 +59,12 @@ def unsearched(file: PlanFile, scenario: Scenario, count: int, seed: int) -> tup
             position.reshape(-1, 3), yaw.ravel(), is_visible=visible.reshape(yaw.size, -1)
         )
         reduced = search.scorer.evaluate_layouts(blocks, np.arange(yaw.size).reshape(yaw.shape))
-        found = search.objective.objective_values(reduced, search.construction.n_parameters)
-        values = np.concatenate([values, found])[:count]
-        at = int(np.argmin(found[: count - len(values) + len(found)]))
-        if found[at] < best[0]:
+        criteria = search.objective.objective_values(reduced, search.construction.n_parameters)
+        values = np.concatenate([values, criteria])[:count]
+        at = int(np.argmin(criteria[: count - len(values) + len(criteria)]))
+        if criteria[at] < best[0]:
             best = (
-                float(found[at]),
+                float(criteria[at]),
                 site.survey.replace(station_positions=position[at], station_yaws=yaw[at], is_visible=visible[at]),
             )
     return values, best[1]
@@ -77,8 +77,8 @@ def candidates_of(plan: PlannedNetwork, drawn: int, best: PlannedSurvey) -> dict
     surveys["searched"] = f"searched, {len(chosen.station_positions)} stations", chosen
     if few is not None:
         surveys["fewest"] = f"fewest, {len(few.survey.station_positions)} stations", few.survey
-    found = {kind: (name, scenario_with_layout(plan.scenario, survey)) for kind, (name, survey) in surveys.items()}
-    return {"paper": ("paper, stations 2 to 5 ours", plan.scenario)} | found
+    layouts = {kind: (name, scenario_with_layout(plan.scenario, survey)) for kind, (name, survey) in surveys.items()}
+    return {"paper": ("paper, stations 2 to 5 ours", plan.scenario)} | layouts
 
 
 def g_criterion(covariance: Floats, regressors: Floats) -> Floats:
@@ -134,19 +134,19 @@ def check(scenario: Scenario, folder: Path, trials: int, given: Options) -> tupl
     file = folder.with_suffix(".toml")
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text(scenario_to_toml(scenario), encoding="utf-8")
-    own = {"scenario": str(file), "seed": given.config["seed"], "trials": trials, "geometry": "per-trial"}
-    results = lt.campaign(own, out=folder, jobs=given.jobs, force=True)
+    campaign = {"scenario": str(file), "seed": given.config["seed"], "trials": trials, "geometry": "per-trial"}
+    results = lt.campaign(campaign, out=folder, jobs=given.jobs, force=True)
     information = ExpectedPrecision.from_survey(planned_survey(scenario))
-    predicted, found = information.instrument_sigmas, results.z_score_summaries()
+    predicted, z_scores = information.instrument_sigmas, results.z_score_summaries()
     rows: list[Row] = [
         {"parameter": p.name, "unit": p.unit, "predicted": sigma / p.si_per_display_unit,
          "ratio": np.hypot(z.mean, z.standard_deviation), "z_mean": z.mean}
-        for p, sigma, z in zip(information.construction.parameters, predicted, found, strict=True)
+        for p, sigma, z in zip(information.construction.parameters, predicted, z_scores, strict=True)
     ]  # fmt: skip
     ratio = np.array([row["ratio"] for row in rows])
     ((squared,),) = results.query("SELECT avg(target_error_um ^ 2) FROM rows")
     summary: Row = {
-        "trials": found[0].trials,
+        "trials": z_scores[0].trials,
         "failed": results.solver_comparisons()[0].failed_trials,
         "ratio_rms": np.sqrt(np.mean(ratio**2)),
         "ratio_least": ratio.min(),

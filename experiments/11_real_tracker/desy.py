@@ -33,8 +33,8 @@ def epoch(name: str, noise: Noise | None = None) -> Recording:
         return recording
     setup = recording.setup
     other = {name: i.model_copy(update={"noise": noise}) for name, i in setup.instruments.items()}
-    own = setup.instrument.model_copy(update={"noise": noise})
-    return recording.replace(setup=setup.model_copy(update={"instrument": own, "instruments": other}))
+    instrument = setup.instrument.model_copy(update={"noise": noise})
+    return recording.replace(setup=setup.model_copy(update={"instrument": instrument, "instruments": other}))
 
 
 def set_up(recording: Recording, number: int) -> Recording:
@@ -45,12 +45,12 @@ def set_up(recording: Recording, number: int) -> Recording:
 def snooped(recording: Recording, construction: GeometricErrorModel | None = None) -> tuple[Recording, list[Dropped]]:
     """Leave out, one after the other, the station's pointings to the target with the largest outlier (w-test)."""
     built, dropped = construction or misalignment_construction(), []
-    while found := adjust(recording, built).flagged_readings():
-        i = found[0].pointing_index
-        own = (recording.station == recording.station[i]) & (recording.target == recording.target[i])
+    while flagged := adjust(recording, built).flagged_readings():
+        i = flagged[0].pointing_index
+        pointings = (recording.station == recording.station[i]) & (recording.target == recording.target[i])
         station, target = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
-        dropped.append((station, target, found[0].observable_column, found[0].normalised_residual))
-        recording = recording.select(~(own & (recording.repeat == recording.repeat[i])))
+        dropped.append((station, target, flagged[0].observable_column, flagged[0].normalised_residual))
+        recording = recording.select(~(pointings & (recording.repeat == recording.repeat[i])))
     return recording, dropped
 
 
@@ -64,12 +64,12 @@ def variance_factors(adjustments: list[Adjustment]) -> Floats:
     return factors
 
 
-def noise_found(rounds: int = 4) -> Noise:
+def estimated_noise(rounds: int = 4) -> Noise:
     """The noise that makes each observable's variance factor 1 over all epochs, outliers left out."""
     noise = START
     for _ in range(rounds):
-        kept = [snooped(epoch(name, noise))[0] for name in EPOCHS]
-        factor = variance_factors([adjust(r, misalignment_construction()) for r in kept])
+        recordings = [snooped(epoch(name, noise))[0] for name in EPOCHS]
+        factor = variance_factors([adjust(r, misalignment_construction()) for r in recordings])
         noise = Noise(
             distance_mm=noise.distance_mm * factor[0],
             distance_ppm=noise.distance_ppm * factor[0],
@@ -93,11 +93,11 @@ def interferometer(name: str) -> pd.DataFrame:
     rows = pd.read_csv(DATA / f"LoS_measurements_{name}.txt", sep=r"\s+", header=None, names=names)
     polar = np.stack([MILLIMETRE * rows.distance, -GON * rows.horizontal, GON * (100.0 - rows.vertical)], axis=1)
     rows["place"] = list(from_polar(polar))
-    found = []
+    lengths = []
     for line, points in rows.groupby("line", sort=False):
         for (a, from_), (b, to) in combinations(zip(points.target, points.place, strict=True), 2):
             length = float(np.linalg.norm(from_ - to))
             level = f"horizontal and diagonal, {'over' if length > LONG else 'under'} 1 m"
             kind, way = "vertical" if line.startswith("Ver") else level, (line[:-2], *sorted((a, b)))
-            found.append((kind, way, a, b, length))
-    return pd.DataFrame(found, columns=["lines", "way", "first", "second", "length"])
+            lengths.append((kind, way, a, b, length))
+    return pd.DataFrame(lengths, columns=["lines", "way", "first", "second", "length"])

@@ -1,4 +1,4 @@
-"""A real tracker: calibrated from one set-up, checked on the other, followed over nine epochs.
+"""Real tracker: calibration from one set-up, validation at the other, changes over nine epochs.
 
     python -m experiments 11 [noise] [course] [transfer] [lines] [index] [checks] [diagnoses]
 
@@ -26,7 +26,7 @@ from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.recordings.setup import Noise
 
-from .desy import AUTHORS, EPOCHS, clean, epoch, interferometer, noise_found, set_up, snooped, variance_factors
+from .desy import AUTHORS, EPOCHS, clean, epoch, estimated_noise, interferometer, set_up, snooped, variance_factors
 
 FLIPPING = ("transit-offset", "beam-offset", "beam-tilt", "transit-tilt", "vertical-index")
 DEFAULT = "what `calibrate` applies by default"
@@ -36,38 +36,40 @@ BEFORE, AFTER = ([f"{when} {unit}" for unit in UNITS] for when in ("before", "af
 Rows = list[dict[str, object]]
 
 
-def found_noise(out: Path) -> Noise:
-    """The noise of `noise.json`, found anew where the file is absent."""
+def noise_of_recordings(out: Path) -> Noise:
+    """Noise in `noise.json`, estimated again if the file is absent."""
     file = out / "noise.json"
     if not file.is_file():
         noise(out)
-    return Noise(**json.loads(file.read_text())["found"])
+    return Noise(**json.loads(file.read_text())["estimated"])
 
 
 def noise(out: Path) -> None:
-    found = noise_found()
-    text = json.dumps({"found": found.model_dump(), "authors": AUTHORS.model_dump()}, indent=1)
+    estimate = estimated_noise()
+    text = json.dumps({"estimated": estimate.model_dump(), "authors": AUTHORS.model_dump()}, indent=1)
     (out / "noise.json").write_text(text + "\n")
     rows: Rows = []
     for name in EPOCHS:
-        kept, dropped = snooped(epoch(name, found))
-        adjusted = adjust(kept, misalignment_construction())
-        own = variance_factors([adjusted])
+        used, dropped = snooped(epoch(name, estimate))
+        adjusted = adjust(used, misalignment_construction())
+        factors = variance_factors([adjusted])
         by_authors = adjust(snooped(epoch(name, AUTHORS))[0], misalignment_construction())
-        rows.append({"epoch": name, "pointings": len(kept), "chi2/dof": round(adjusted.sigma0**2, 3),
-                     "range factor": own[0].round(2), "azimuth factor": own[1].round(2),
-                     "elevation factor": own[2].round(2), "chi2/dof authors": round(by_authors.sigma0**2, 3),
+        rows.append({"epoch": name, "pointings": len(used), "chi2/dof": round(adjusted.sigma0**2, 3),
+                     "range factor": factors[0].round(2), "azimuth factor": factors[1].round(2),
+                     "elevation factor": factors[2].round(2), "chi2/dof authors": round(by_authors.sigma0**2, 3),
                      "pairs left out": "; ".join(f"{station} {target} {OBSERVABLES[k]} w={w:.1f}"
                                                  for station, target, k, w in dropped)})  # fmt: skip
     show_table(out / "noise.csv", rows)
 
 
 def course(out: Path) -> None:
-    found = found_noise(out)
-    kept = {name: snooped(epoch(name, found))[0] for name in EPOCHS}
+    estimate = noise_of_recordings(out)
+    recordings = {name: snooped(epoch(name, estimate))[0] for name in EPOCHS}
     for label, construction in (("16", misalignment_construction()), ("6", SIX)):
-        own = [(name, calibrate_network(kept[name], construction, recommend_measurements=False)) for name in EPOCHS]
-        history = History.from_series(CalibrationSeries.from_labelled(own))
+        calibrations = [
+            (name, calibrate_network(recordings[name], construction, recommend_measurements=False)) for name in EPOCHS
+        ]
+        history = History.from_series(CalibrationSeries.from_labelled(calibrations))
         content = history.content()
         (out / f"history_{label}.json").write_text(json.dumps(content, indent=1) + "\n")
         if construction is SIX:  # sixteen courses are a table
@@ -102,15 +104,15 @@ METHODS = (
 
 def transfer(out: Path) -> None:
     """Half differences of each set-up before and after parameters of the other: each transfer, and all of a method."""
-    found, parts = found_noise(out), []
-    raw = {(name, s): set_up(epoch(name, found), s) for name in EPOCHS for s in (0, 1)}
+    estimate, parts = noise_of_recordings(out), []
+    raw = {(name, s): set_up(epoch(name, estimate), s) for name in EPOCHS for s in (0, 1)}
     good = {key: clean(two_face_pairs(r), r) for key, r in raw.items()}
     for method, construction, snoop, informed in METHODS:
         used = {k: snooped(r, construction)[0] if snoop else r for k, r in raw.items()}
-        own = {k: calibrate_network(r, construction, recommend_measurements=False) for k, r in used.items()}
+        calibrations = {k: calibrate_network(r, construction, recommend_measurements=False) for k, r in used.items()}
         for name, s in raw:
-            others = [(f"{k[0]} {k[1]}", c) for k, c in own.items() if k[0] != name]
-            calibration = own[name, s]
+            others = [(f"{k[0]} {k[1]}", c) for k, c in calibrations.items() if k[0] != name]
+            calibration = calibrations[name, s]
             if informed:
                 calibration = CalibrationSeries.from_labelled(others).with_population_prior(calibration)
             to = s if method == CEILING else 1 - s
@@ -120,10 +122,10 @@ def transfer(out: Path) -> None:
             about = {"method": method, "epoch": name, "from": s, "to": to, "clean": good[name, to]}
             parts.append(pd.DataFrame(columns, columns=[*BEFORE, *AFTER]).assign(**about))
     pairs = pd.concat(parts)
-    kept = pairs[pairs.clean]
-    every = shares(kept, "clean", "method", "epoch", "from", "to")
-    total = [shares(pairs, "all", "method"), shares(kept, "clean", "method")]
-    for kind, whole in zip((pairs, kept), total, strict=True):
+    clean_pairs = pairs[pairs.clean]
+    every = shares(clean_pairs, "clean", "method", "epoch", "from", "to")
+    total = [shares(pairs, "all", "method"), shares(clean_pairs, "clean", "method")]
+    for kind, whole in zip((pairs, clean_pairs), total, strict=True):
         medians = shares(kind, "", "method", "epoch", "from", digits=9).groupby("method").median(numeric_only=True)
         for word in ("across", "elevation"):
             whole[f"median share {word}"] = whole.method.map(medians[f"share {word}"]).round(3)
@@ -135,32 +137,38 @@ def transfer(out: Path) -> None:
 def shares(pairs: pd.DataFrame, kind: str, *by: str, digits: int = 3) -> pd.DataFrame:
     """Rms of squared half differences before and after in um and urad, and the share removed, a row a group."""
     groups = pairs.groupby([*by], sort=False)
-    rms, found = groups[[*BEFORE, *AFTER]].mean() ** 0.5, groups.size().map(f"{{}} {kind}".format).to_frame("pairs")
+    rms, table = groups[[*BEFORE, *AFTER]].mean() ** 0.5, groups.size().map(f"{{}} {kind}".format).to_frame("pairs")
     for before, after, unit in zip(BEFORE, AFTER, UNITS, strict=True):
-        found[before], found[after] = rms[before].round(2), rms[after].round(2)
-        found[f"share {unit.split()[-1]}"] = (1 - rms[after] / rms[before]).round(digits)
-    return found.reset_index()
+        table[before], table[after] = rms[before].round(2), rms[after].round(2)
+        table[f"share {unit.split()[-1]}"] = (1 - rms[after] / rms[before]).round(digits)
+    return table.reset_index()
 
 
 def lines(out: Path) -> None:
     """Lengths by interferometer against coordinates: the network's, and those of one face of one set-up."""
-    found, parts, back = found_noise(out), [], []
+    estimate, parts, back = noise_of_recordings(out), [], []
     for name in EPOCHS:
-        kept = snooped(epoch(name, found))[0]
+        recording = snooped(epoch(name, estimate))[0]
         spans = interferometer(name)
         back.append(spans.groupby("way").length.diff().dropna())
-        places = {"network, as read": adjust(kept).state.target_points,
-                  "network, calibrated": adjust(kept, misalignment_construction()).state.target_points}  # fmt: skip
-        parts += [gaps(spans, kept.targets, points).assign(coordinates=how) for how, points in places.items()]
+        calibrated = adjust(recording, misalignment_construction())
+        places = {
+            "network, as read": adjust(recording).state.target_points,
+            "network, calibrated": calibrated.state.target_points,
+        }
+        parts += [gaps(spans, recording.targets, points).assign(coordinates=how) for how, points in places.items()]
         for s in (0, 1):
-            one, own = set_up(kept, s), calibrate_network(set_up(kept, 1 - s), recommend_measurements=False)
+            setup, calibration = (
+                set_up(recording, s),
+                calibrate_network(set_up(recording, 1 - s), recommend_measurements=False),
+            )
             for face in (1, 2):
-                seen = one.select(one.face == face)
-                names = [seen.targets[t] for t in seen.target]
+                pointings = setup.select(setup.face == face)
+                names = [pointings.targets[t] for t in pointings.target]
                 single = {
-                    "as read": from_polar(seen.readings),
-                    "parameters of the other set-up": own.construction.points_from_readings(
-                        seen.readings, own.estimates[0]
+                    "as read": from_polar(pointings.readings),
+                    "parameters of the other set-up": calibration.construction.points_from_readings(
+                        pointings.readings, calibration.estimates[0]
                     ),
                 }
                 parts += [gaps(spans, names, points).assign(coordinates=f"one face, {how}")
@@ -178,24 +186,24 @@ def lines(out: Path) -> None:
 def gaps(spans: pd.DataFrame, names: Sequence[str], points: Floats) -> pd.DataFrame:
     """Lengths [um] between points (n, 3) [m] less those by interferometer, where both ends have coordinates."""
     place = dict(zip(names, points, strict=True))
-    seen = spans[spans["first"].isin(place) & spans.second.isin(place)]
-    own = [np.linalg.norm(place[b] - place[a]) for a, b in zip(seen["first"], seen.second, strict=True)]
-    return seen.assign(gap=1e6 * (np.array(own) - seen.length))
+    measured = spans[spans["first"].isin(place) & spans.second.isin(place)]
+    lengths = [np.linalg.norm(place[b] - place[a]) for a, b in zip(measured["first"], measured.second, strict=True)]
+    return measured.assign(gap=1e6 * (np.array(lengths) - measured.length))
 
 
 def index(out: Path) -> None:
     """Is the vertical index one number? Half differences in elevation: offset and slope of each set-up, one b_z."""
-    found, rows = found_noise(out), []
+    estimate, rows = noise_of_recordings(out), []
     for name in EPOCHS:
-        recording = snooped(epoch(name, found))[0]
+        recording = snooped(epoch(name, estimate))[0]
         pairs = two_face_pairs(recording)
         station = recording.station[pairs.pointing_indices[:, 0]]
         design = [-1.0 / pairs.mean_front_face_readings[:, 0]]
         for s in (0, 1):
-            own = station == s
+            is_of_station = station == s
             order = np.zeros(len(pairs))
-            order[own] = np.linspace(-1.0, 1.0, int(own.sum()))
-            design += [-own.astype(float), -order]
+            order[is_of_station] = np.linspace(-1.0, 1.0, int(is_of_station.sum()))
+            design += [-is_of_station.astype(float), -order]
         a, y = np.array(design).T, pairs.half_differences[:, 2] * 1e6
         x, squares = np.linalg.lstsq(a, y)[:2]
         covariance = np.linalg.inv(a.T @ a) * squares[0] / (len(y) - a.shape[1])
@@ -210,12 +218,15 @@ def index(out: Path) -> None:
 
 def checks(out: Path) -> None:
     """Three suspects of the diagnoses in every epoch: half difference in range, gaps to the interferometer."""
-    found, rows = found_noise(out), []
+    estimate, rows = noise_of_recordings(out), []
     for name in EPOCHS:
-        recording = epoch(name, found)
+        recording = epoch(name, estimate)
         pairs, spans = two_face_pairs(recording), interferometer(name)
-        own = recording.target[pairs.pointing_indices[:, 0]] == recording.targets.index("K6")
-        row = {"epoch": name, "K6 half difference in range um": round(1e6 * pairs.half_differences[own, 0].mean(), 1)}
+        is_of_target = recording.target[pairs.pointing_indices[:, 0]] == recording.targets.index("K6")
+        row = {
+            "epoch": name,
+            "K6 half difference in range um": round(1e6 * pairs.half_differences[is_of_target, 0].mean(), 1),
+        }
         points = adjust(recording, misalignment_construction()).state.target_points
         for target in ("PQK36_3", "PQK62_10"):
             ends = spans[(spans["first"] == target) | (spans.second == target)]
@@ -225,11 +236,11 @@ def checks(out: Path) -> None:
 
 
 def diagnoses(out: Path) -> None:
-    """`ltsim diagnose` on every epoch, with the default noise and with the noise found; half a minute each."""
+    """`ltsim diagnose` on every epoch, with the default noise and with the estimated noise; half a minute each."""
     rows: Rows = []
-    for label, stated in (("default", None), ("found", found_noise(out))):
+    for label, noise_of_tracker in (("default", None), ("estimated", noise_of_recordings(out))):
         for name in EPOCHS:
-            content = diagnose(epoch(name, stated)).content()
+            content = diagnose(epoch(name, noise_of_tracker)).content()
             before, after = content["fit"]["before"], content["fit"]["after"]
             rows.append({"noise": label, "epoch": name, "verdict": content["verdict"],
                          "chi2/dof": f"{before['chi2'] / before['dof']:.2f} to {after['chi2'] / after['dof']:.2f}",

@@ -1,4 +1,4 @@
-"""A machine on the floor: what it does to sight, information and plan."""
+"""Effect of a machine on the floor on visibility, accuracy and the planned layout."""
 
 from experiments.common import Made, Options, Row, show_table, write_figure, write_table
 from ltsim.core.units import MICROMETRE

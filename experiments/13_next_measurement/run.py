@@ -1,4 +1,4 @@
-"""Does the proposed measurement decide a diagnosis that was left open? It is simulated, added, and diagnosed again."""
+"""Simulated test of proposed measurements that should separate the explanations of a diagnosis."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -25,7 +25,7 @@ from ltsim.simulation.truth import Truth
 
 
 def measured(candidate: CandidateMeasurement, before: Recording, truth: Truth, seed: int) -> Recording:
-    """The recording with the proposed pointings made: true places, true instrument, true effect, new noise."""
+    """Recording with the proposed pointings, simulated from the true network, instrument and effect, with new noise."""
     recording, construction = candidate.network.recording, misalignment_construction()
     position, rotation = truth.station_positions, truth.station_rotations
     if candidate.added_setup_on_floor_plan is not None:
@@ -46,7 +46,7 @@ def measured(candidate: CandidateMeasurement, before: Recording, truth: Truth, s
 
 
 def words(diagnosis: Diagnosis, effect: str, stations: Sequence[str]) -> Row:
-    """What a diagnosis said, and whether it was right."""
+    """Report of a diagnosis, and whether it is right."""
     if not diagnosis.findings:
         return {"named": diagnosis.verdict, "probability": 0.0, "not_excluded": "", "right": False}
     first = diagnosis.findings[0]
@@ -59,7 +59,7 @@ def words(diagnosis: Diagnosis, effect: str, stations: Sequence[str]) -> Row:
 
 
 def recorded(scenario_name: str, case: dict[str, Any], seed: int) -> tuple[Recording, Truth]:
-    """A recording of the case. A wrong reading is no effect of the simulated world: it is written into the file."""
+    """Recording of a case, with its truth; a wrong reading is added to the readings."""
     scenario = load_scenario(scenario_name)
     if "values" in case:
         places = {key: tuple(case.get(key, ())) for key in ("stations", "targets")}
@@ -72,16 +72,16 @@ def recorded(scenario_name: str, case: dict[str, Any], seed: int) -> tuple[Recor
     return recording.with_readings(readings), truth
 
 
-def one(scenario_name: str, case: dict[str, Any], seed: int, number: int) -> Row:
-    """One recording: diagnosed, extended as proposed, diagnosed again."""
+def examined_recording(scenario_name: str, case: dict[str, Any], seed: int, number: int) -> Row:
+    """Row of one recording: diagnosed, extended as proposed, diagnosed again."""
     recording, truth = recorded(scenario_name, case, seed + 1000 * number)
     first = diagnose(recording, seed=seed)
     row: Row = {"true": case["name"], "recording": number}
     row |= {f"before_{key}": value for key, value in words(first, case["name"], case["stations"]).items()}
-    between, beside = explanations_of_ambiguous_finding(first)
+    between, context = explanations_of_ambiguous_finding(first)
     if not between:
         return row | {"between": "", "proposal": ""}
-    proposals = rank_next_measurements(recording, explanations=between, with_effects=beside)
+    proposals = rank_next_measurements(recording, explanations=between, with_effects=context)
     best = proposals.proposals[0]
     second = diagnose(measured(best.candidate, recording, truth, seed + number), seed=seed)
     row |= {
@@ -90,16 +90,16 @@ def one(scenario_name: str, case: dict[str, Any], seed: int, number: int) -> Row
         "minutes": round(best.candidate.duration / 60, 1),
         "evidence_before": " ".join(f"{value:.1f}" for value in proposals.present_chi2_differences.values()),
         "evidence_after": " ".join(f"{value:.1f}" for value in best.expected_chi2_differences.values()),
-        "tells_apart": " ".join(best.distinguished_explanations),
+        "separated_explanations": " ".join(best.distinguished_explanations),
     }
     return row | {f"after_{key}": value for key, value in words(second, case["name"], case["stations"]).items()}
 
 
 def run(given: Options) -> Made:
-    """All cases and recordings."""
+    """Run all cases and recordings."""
     config = given.config
     count = given.trials or config["recordings"]
     tasks = [(config["scenario"], case, config["seed"], number) for case in config["cases"] for number in range(count)]
-    rows = list(run_parallel(one, tasks, given.jobs))
+    rows = list(run_parallel(examined_recording, tasks, given.jobs))
     show_table(given.out / "cases.csv", rows)
     return Made(config["seed"], count)

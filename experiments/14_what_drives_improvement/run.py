@@ -1,4 +1,4 @@
-"""Which errors decide how much calibration improves the paper's criteria? Sobol indices.
+"""Sobol indices of the errors that determine how much a calibration improves the paper's criteria.
 
 The sizes of all groups of errors are uncertain over a range, evenly in their logarithm; a first-order index is the
 share of the variance of a criterion that knowing one size would remove, a total index the share that would remain if
@@ -41,20 +41,22 @@ def sensitivity(predictor: DisagreementPredictor, ranges: Ranges, samples: int, 
         return np.stack([getattr(expected, attribute) for attribute in OUTPUTS.values()])
 
     dists = [stats.uniform(loc=low, scale=high - low) for low, high in logs]
-    found = stats.sobol_indices(func=criteria, n=samples, dists=dists, random_state=random_stream(seed, "sobol"))
+    indices = stats.sobol_indices(func=criteria, n=samples, dists=dists, random_state=random_stream(seed, "sobol"))
     # An output that an input does not move has no bootstrap distribution; its interval is the index itself.
     with np.errstate(invalid="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", stats.DegenerateDataWarning)
-        spread = found.bootstrap(0.95)
+        spread = indices.bootstrap(0.95)
     columns = {}
     for name, index, interval in (
-        ("first", found.first_order, spread.first_order), ("total", found.total_order, spread.total_order),
+        ("first", indices.first_order, spread.first_order), ("total", indices.total_order, spread.total_order),
     ):  # fmt: skip
         ends = interval.confidence_interval
         columns |= {name: index, f"{name}_low": ends.low, f"{name}_high": ends.high}
-        columns |= {k: np.where(np.isfinite(own), own, index) for k, own in columns.items() if k.startswith(name)}
+        columns |= {
+            k: np.where(np.isfinite(values), values, index) for k, values in columns.items() if k.startswith(name)
+        }
     return [
-        {"output": output, "input": name} | {key: float(own[i, j]) for key, own in columns.items()}
+        {"output": output, "input": name} | {key: float(values[i, j]) for key, values in columns.items()}
         for i, output in enumerate(OUTPUTS)
         for j, name in enumerate(names)
     ]
@@ -62,11 +64,11 @@ def sensitivity(predictor: DisagreementPredictor, ranges: Ranges, samples: int, 
 
 def effects_of(names: Sequence[str], stations: Sequence[str]) -> list[Effect]:
     """The effects that calibration does not know; one of a single station acts on all, each with its own size."""
-    found: list[Effect] = []
+    effects: list[Effect] = []
     for name in names:
         kind = find_effect(name)
-        found += [kind(stations=(s,)) for s in stations] if kind.scope == "station" else [kind()]
-    return found
+        effects += [kind(stations=(s,)) for s in stations] if kind.scope == "station" else [kind()]
+    return effects
 
 
 def improvement_rows(predictor: DisagreementPredictor, ranges: Ranges, seed: int) -> list[Row]:
@@ -77,8 +79,8 @@ def improvement_rows(predictor: DisagreementPredictor, ranges: Ranges, seed: int
     for kind in ("distance", "coordinate"):
         gains = np.percentile(getattr(expected, f"{kind}_improvement"), [5, 50, 95])
         named = dict(zip(("improvement_p5", "improvement_median", "improvement_p95"), gains, strict=True))
-        left = np.median(getattr(expected, f"{kind}_disagreement_after") / MICROMETRE)
-        rows.append({"criterion": kind} | named | {"after_median_um": left})
+        expected_median = np.median(getattr(expected, f"{kind}_disagreement_after") / MICROMETRE)
+        rows.append({"criterion": kind} | named | {"after_median_um": expected_median})
     return rows
 
 
@@ -89,11 +91,11 @@ def run(given: Options) -> Made:
     for name in config["scenarios"]:
         survey = planned_survey(load_scenario(name))
         effects = effects_of(config["left_out"], survey.station_names)
-        predictor, left_out = (
+        predictor, excluded = (
             DisagreementPredictor.from_expected_precision(ExpectedPrecision.from_survey(survey), effects),
             {effect.name for effect in effects},
         )
-        ranges = {g: tuple(config["range_left_out" if g in left_out else "range"]) for g in predictor.error_groups}
+        ranges = {g: tuple(config["range_left_out" if g in excluded else "range"]) for g in predictor.error_groups}
         spread += [{"scenario": name} | row for row in improvement_rows(predictor, ranges, seed)]
         indices += [{"scenario": name} | row for row in sensitivity(predictor, ranges, samples, seed)]
     write_table(given.out / "indices.csv", indices)

@@ -1,4 +1,4 @@
-"""Does a hall get better by what its plan says of single reflectors? Every change told, simulated many times."""
+"""Comparison of the predictions of a plan for single reflectors with simulated measurements."""
 
 import numpy as np
 
@@ -34,11 +34,11 @@ def squares(scenario: Scenario, weights: dict[str, float], number: int, width: i
     """Weighted mean squared error (B,) [um^2] of the named targets, fitted rigidly to where they truly are."""
     truth = make_true_network(scenario, SEED, "campaign")
     block = truth.draw_batch(SEED, number, width)
-    found = make_calibrator(CalibrationMethod(), truth).calibrate(block, np.arange(width))
+    calibrated = make_calibrator(CalibrationMethod(), truth).calibrate(block, np.arange(width))
     weight = np.array([weights.get(name, 0.0) for name in truth.recording.targets])
-    true = np.ascontiguousarray(np.broadcast_to(truth.state.target_points[:, :, None], found.target_errors.shape))
+    true = np.ascontiguousarray(np.broadcast_to(truth.state.target_points[:, :, None], calibrated.target_errors.shape))
     moved = np.empty_like(true)
-    align_rigidly(true + found.target_errors, true, weight > 0, moved)
+    align_rigidly(true + calibrated.target_errors, true, weight > 0, moved)
     return np.einsum("t,tkb->b", weight / weight.sum(), ((moved - true) / MICROMETRE) ** 2)
 
 
@@ -64,14 +64,19 @@ def run(given: Options) -> Made:
     file, hall = load_plan(given.here / "hall.toml")
     plan = make_plan(file, hall, jobs=given.jobs)
     scenario, survey, result = scenario_of_plan(plan), plan.layout.survey, Plan.from_network(plan)
-    own = dict(zip(survey.target_names, survey.normalised_target_weights.tolist(), strict=True))
+    weights_by_target = dict(zip(survey.target_names, survey.normalised_target_weights.tolist(), strict=True))
     rows: list[Row] = []
     for change in plan.reflector_changes.reported_changes:
-        weights = {name: weight for name, weight in own.items() if name != change.reflector}
-        found = gain((scenario, changed(scenario, change)), weights, trials, given.jobs)
-        held = found["gain_low_um"] <= change.target_rms_decrease_um <= found["gain_high_um"]
-        row: Row = {"do": change.action_text, "promised_um": change.target_rms_decrease_um, **found}
-        rows.append({k: v if isinstance(v, str) else round(float(v), 4) for k, v in row.items()} | {"held": bool(held)})
+        weights = {name: weight for name, weight in weights_by_target.items() if name != change.reflector}
+        simulated_gain = gain((scenario, changed(scenario, change)), weights, trials, given.jobs)
+        is_inside_interval = (
+            simulated_gain["gain_low_um"] <= change.target_rms_decrease_um <= simulated_gain["gain_high_um"]
+        )
+        row: Row = {"action": change.action_text, "predicted_um": change.target_rms_decrease_um, **simulated_gain}
+        rows.append(
+            {k: v if isinstance(v, str) else round(float(v), 4) for k, v in row.items()}
+            | {"inside_interval": bool(is_inside_interval)}
+        )
         tell(str(rows[-1]))
     write_table(given.out / "changes.csv", rows)
     figure = reflector_changes_floor_plan(workshop_from_scenario(scenario), result.reflector_changes, file.floor)

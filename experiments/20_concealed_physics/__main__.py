@@ -17,7 +17,7 @@ from pathlib import Path
 from . import entrants, make
 from .law import carriers, laws_of
 from .report import write_report
-from .score import score_one
+from .score import score_recording
 
 PLANS = Path(__file__).resolve().parent / "plans"
 
@@ -58,7 +58,7 @@ def score(work: Path, names: list[str], out: Path, plan: str) -> None:
         done = [t for t in truth if (work / "answers" / name / t["name"] / entrants.STATUS).is_file()]
         if not done:
             sys.exit(f"'{name}' has answered nothing in {work}")
-        rows[name] = [score_one(t, work / "answers" / name / t["name"]) for t in done]
+        rows[name] = [score_recording(t, work / "answers" / name / t["name"]) for t in done]
     excluded = sum(sum(t["excluded"].values()) for t in truth)
     write_report(rows, out, {"plan": plan, "sha256": seal, "recordings": len(truth), "draws_excluded": excluded})
     print((out / "table.md").read_text(encoding="utf-8"))

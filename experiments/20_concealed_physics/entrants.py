@@ -62,11 +62,13 @@ def huber(recording: Path, out: Path) -> None:
     from ltsim.physics.model.construction import misalignment_construction
 
     read = _calibrated(recording, out, robust=False)
-    found = adjust(read, misalignment_construction())
+    adjustment = adjust(read, misalignment_construction())
     for _ in range(HUBER_ROUNDS - 1):
-        size = np.abs(np.nan_to_num(found.residuals / read.reading_sigmas())) / HUBER
-        found = adjust(read, misalignment_construction(), sigma=read.reading_sigmas() * np.sqrt(np.maximum(size, 1.0)))
-    _targets(out, read.targets, 1e3 * found.state.target_points)
+        size = np.abs(np.nan_to_num(adjustment.residuals / read.reading_sigmas())) / HUBER
+        adjustment = adjust(
+            read, misalignment_construction(), sigma=read.reading_sigmas() * np.sqrt(np.maximum(size, 1.0))
+        )
+    _targets(out, read.targets, 1e3 * adjustment.state.target_points)
 
 
 def gama(recording: Path, out: Path) -> None:
@@ -81,10 +83,10 @@ def gama(recording: Path, out: Path) -> None:
     from ltsim.geometry.rigid import rotation_about_z
 
     read = lt.read(str(recording))
-    found = lt.calibrate(read, advise=False)
-    ideal = corrected_readings(read, found.construction, found.estimates[read.instrument])
+    adjustment = lt.calibrate(read, advise=False)
+    ideal = corrected_readings(read, adjustment.construction, adjustment.estimates[read.instrument])
     upright = np.stack(
-        [rotation_about_z(-np.arctan2(r[1, 0], r[0, 0])) @ r for r in found.adjustment.state.station_rotations]
+        [rotation_about_z(-np.arctan2(r[1, 0], r[0, 0])) @ r for r in adjustment.adjustment.state.station_rotations]
     )
     local = from_polar(swap_front_and_raw(ideal, read.face))
     level = swap_front_and_raw(to_polar(np.einsum("nij,nj->ni", upright[read.station], local)), read.face)
@@ -105,9 +107,9 @@ def _calibrated(recording: Path, out: Path, *, robust: bool) -> Any:
     import ltsim as lt
 
     read = lt.read(str(recording))
-    found = lt.calibrate(read, advise=False, robust=robust)
-    found.to_dataframe("targets").to_csv(out / "targets.csv", index=False)
-    _verdict(out, float((lt.calibrate(read, advise=False) if robust else found).fit.p_value))
+    adjustment = lt.calibrate(read, advise=False, robust=robust)
+    adjustment.to_dataframe("targets").to_csv(out / "targets.csv", index=False)
+    _verdict(out, float((lt.calibrate(read, advise=False) if robust else adjustment).fit.p_value))
     return read
 
 
@@ -133,17 +135,21 @@ def answer(work: Path, name: str, command: str = "", jobs: int = 1) -> bool:
         print(f"{name}: skipped, {program} is not on the PATH")
         return False
     folders = sorted(f for f in (work / RECORDINGS).iterdir() if f.is_dir())
-    left = [f for f in folders if not (work / "answers" / name / f.name / STATUS).is_file()]
+    open_folders = [f for f in folders if not (work / "answers" / name / f.name / STATUS).is_file()]
     with ProcessPoolExecutor(jobs) as pool:
-        list(pool.map(partial(_one, answers=work / "answers" / name, name=name, command=command), left))
+        list(
+            pool.map(
+                partial(_answer_recording, answers=work / "answers" / name, name=name, command=command), open_folders
+            )
+        )
     return True
 
 
-def _one(recording: Path, answers: Path, name: str, command: str) -> None:
+def _answer_recording(recording: Path, answers: Path, name: str, command: str) -> None:
     out, start, note = answers / recording.name, time.perf_counter(), ""
     out.mkdir(parents=True, exist_ok=True)
-    said = io.StringIO()
-    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+    output = io.StringIO()
+    with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
         try:
             if command:
                 words = [w.format(recording=recording, out=out) for w in shlex.split(command)]

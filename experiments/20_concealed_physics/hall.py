@@ -65,8 +65,8 @@ class Hall:
         self.order = (np.arange(self.n) - self.starts).astype(np.float64)  # pointings made before in this set-up
         self.since_setup = self.time - self.time[self.starts]  # [s] since the first pointing of this set-up
         self.gap = np.diff(self.time, prepend=self.time[0])  # [s] since the pointing before, breaks included
-        self.seen = p.seen  # (n, 3) in the tracker's frame, on either face as on the front:
-        self.distance, self.azimuth, self.elevation = self.seen.T  # [m], [rad], [rad]
+        self.local_points = p.local_points  # (n, 3) in the tracker's frame, on either face as on the front:
+        self.distance, self.azimuth, self.elevation = self.local_points.T  # [m], [rad], [rad]
         self.back = (p.face == 2).astype(np.float64)  # 1 on the back face, 0 on the front
         self.circle = within_a_turn(self.azimuth + np.pi * self.back)  # [rad] where the azimuth circle is read
         self.aim, self.stand = p.points[p.target], p.position[p.station]  # (n, 3) [m] nest, tracker in the room
@@ -100,11 +100,11 @@ class Hall:
 
     def fading(self, given: Array, memory: float) -> Array:
         """What is left of all that was given up to each pointing, where it dies away with a memory [s]."""
-        kept, left, found = np.exp(-self.gap / memory), 0.0, np.empty(self.n)
-        for i, (share, more) in enumerate(zip(kept.tolist(), np.asarray(given, float).tolist(), strict=True)):
-            left = share * left + more
-            found[i] = left
-        return found
+        fractions, sum_of_fading, remainder = np.exp(-self.gap / memory), 0.0, np.empty(self.n)
+        for i, (share, more) in enumerate(zip(fractions.tolist(), np.asarray(given, float).tolist(), strict=True)):
+            sum_of_fading = share * sum_of_fading + more
+            remainder[i] = sum_of_fading
+        return remainder
 
     def lagging(self, values: Array, delay: float) -> Array:
         """Values as a thing has them that follows with a delay [s]; it had the first of them when the work began."""
@@ -114,8 +114,8 @@ class Hall:
 
     def latched(self, values: Array, low: float, high: float) -> Array:
         """1 once values rose above the high mark, until they fall below the low one; 0 when a set-up begins."""
-        known = (values < low) | (values > high) | (self.order == 0)
-        last = np.maximum.accumulate(np.where(known, np.arange(self.n), 0))
+        is_outside_band = (values < low) | (values > high) | (self.order == 0)
+        last = np.maximum.accumulate(np.where(is_outside_band, np.arange(self.n), 0))
         return np.asarray(values[last] > high, dtype=np.float64)
 
     def windows(self, rng: Draw) -> Array:
@@ -127,11 +127,11 @@ class Hall:
         """A random walk from pointing to pointing, with a variance of one at the end."""
         return np.cumsum(rng.standard_normal(self.n)) / np.sqrt(self.n)
 
-    def one_station(self, rng: Draw) -> Array:
+    def random_station(self, rng: Draw) -> Array:
         """1 where a station that is drawn is the one that measures."""
         return (self.pointings.station == rng.integers(len(self.stations))).astype(np.float64)
 
-    def one_tracker(self, rng: Draw) -> Array:
+    def random_tracker(self, rng: Draw) -> Array:
         """1 where one of two trackers measures; LookupError where there is one."""
         if len(self.trackers) < 2:
             raise LookupError("one tracker only")
@@ -201,16 +201,16 @@ def _targets(rng: Draw, size: Size) -> tuple[Array, dict[str, Index], Array]:
 
 def _stations(rng: Draw, points: Array, size: Size) -> Array:
     """(S, 3) [m] in the room: apart from each other and from the targets, none of which is too steep."""
-    found: list[Array] = []
+    places: list[Array] = []
     count = int(rng.integers(size.stations[0], size.stations[1] + 1))
-    while len(found) < count:
+    while len(places) < count:
         place = rng.uniform([1.2, 1.2, 1.3], [size.room[0] - 1.2, size.room[1] - 1.2, 2.1])
         distance, _, steep = sphere(points - place).T
         level = distance * np.cos(steep)
-        apart = all(((place - other) ** 2).sum() > 1.5 * size.room[0] / 11.0 for other in found)
-        if apart and level.min() > 0.7 and steep.min() > np.radians(-54) and steep.max() < np.radians(72):
-            found.append(place)
-    return np.array(found)
+        is_separate = all(((place - other) ** 2).sum() > 1.5 * size.room[0] / 11.0 for other in places)
+        if is_separate and level.min() > 0.7 and steep.min() > np.radians(-54) and steep.max() < np.radians(72):
+            places.append(place)
+    return np.array(places)
 
 
 def _sights(points: Array, position: Array, reach: float) -> list[Index]:
@@ -224,17 +224,17 @@ def _work(rng: Draw, sights: list[Index], small: bool) -> tuple[Index, Index, In
     """Station, target, face, repeat and time (n,) [s] of each pointing; a large hall is gone round once."""
     faces, rounds = int(rng.choice([1, 2], p=[0.35, 0.65])), int(rng.integers(1, 3)) if small else 1
     rows, times, clock = [], [], 0.0
-    for s, seen in enumerate(sights):
+    for s, sighted in enumerate(sights):
         for k in range(rounds):
-            for t in rng.permutation(seen) if rng.random() < 0.7 else seen:
+            for t in rng.permutation(sighted) if rng.random() < 0.7 else sighted:
                 for face in (1, 2)[:faces]:
                     rows.append((s, int(t), face, k + 1))
                     times.append(round(clock, 1))
                     clock += rng.uniform(9.0, 20.0)
         clock += rng.uniform(700.0, 2700.0)
-    kept = rng.random(len(rows)) >= rng.choice([0.0, 0.06])
-    station, target, face, repeat = np.array(rows, dtype=np.int64)[kept].T
-    return station, target, face, repeat, np.array(times)[kept]
+    is_measured = rng.random(len(rows)) >= rng.choice([0.0, 0.06])
+    station, target, face, repeat = np.array(rows, dtype=np.int64)[is_measured].T
+    return station, target, face, repeat, np.array(times)[is_measured]
 
 
 def _columns(rng: Draw, time: Array) -> dict[str, Array]:

@@ -127,11 +127,11 @@ class Draws:
         """(d, s) Sizes of the added variance at which each draw has each strength; 0 where none has."""
         assert self.variances is not None
         grid = np.geomspace(1e-3, 1e3, 60)
-        found = np.zeros((self.variances.shape[1], len(STRENGTHS)))
+        log_evidences = np.zeros((self.variances.shape[1], len(STRENGTHS)))
         for d, variance in enumerate(self.variances.T):
             at = [float(network.noise_strengths(1.0 + a * variance).sum()) for a in grid.tolist()]
-            found[d] = np.exp(np.interp(np.log(STRENGTHS), np.log(np.maximum(at, 1e-30)), np.log(grid)))
-        return found
+            log_evidences[d] = np.exp(np.interp(np.log(STRENGTHS), np.log(np.maximum(at, 1e-30)), np.log(grid)))
+        return log_evidences
 
     def _noise_evidence(self, network: Network, residuals: Array) -> Array:
         assert self.variances is not None
@@ -180,8 +180,8 @@ def observe(network: Network, whitened: Array, laws: dict[str, LawFunction], rng
     linear = Linear.of(network)
     noise = rng.standard_normal((len(whitened), NULLS))
     residuals = network.residual(np.column_stack([whitened, noise]))
-    draws = {name: found for name, law in laws.items() if (found := Draws.of(law, linear, rng, DRAWS))}
-    first = np.array([log_evidence(found.evidence(network, residuals)) for found in draws.values()])
+    draws = {name: draws_of_law for name, law in laws.items() if (draws_of_law := Draws.of(law, linear, rng, DRAWS))}
+    first = np.array([log_evidence(draws_of_law.evidence(network, residuals)) for draws_of_law in draws.values()])
     whole = logsumexp(first, axis=0)
     p_value = float((1 + (whole[1:] >= whole[0]).sum()) / (NULLS + 1))
     evidence = dict(zip(draws, first[:, 0].tolist(), strict=True))

@@ -69,7 +69,7 @@ class Law:
         return Cause((change,), np.ones(1), words | place(h, change))
 
 
-_FOUND: dict[str, Law] = {}
+_REGISTRY: dict[str, Law] = {}
 
 
 def law(
@@ -83,10 +83,10 @@ def law(
 
     def keep(draw: Callable[[Hall, Draw], Change]) -> Callable[[Hall, Draw], Change]:
         name, group = draw.__name__.replace("_", "-"), draw.__module__.rpartition(".")[2]
-        if name in _FOUND and _FOUND[name].group != group:
-            raise ValueError(f"two laws are called {name}: in {_FOUND[name].group} and in {group}")
+        if name in _REGISTRY and _REGISTRY[name].group != group:
+            raise ValueError(f"two laws are called {name}: in {_REGISTRY[name].group} and in {group}")
         items = tuple(tuple(item.split("|")) for item in follows)
-        _FOUND[name] = Law(name, (draw.__doc__ or "").strip(), draw, items, tuple(may.split()), signals, group)
+        _REGISTRY[name] = Law(name, (draw.__doc__ or "").strip(), draw, items, tuple(may.split()), signals, group)
         return draw
 
     return keep
@@ -102,7 +102,7 @@ def laws_of(groups: tuple[str, ...]) -> dict[str, Law]:
         raise ValueError(f"there is no file of laws called {', '.join(unknown)}; there are {', '.join(files)}")
     for file in chosen:
         import_module(f"{__package__}.laws.{file}")
-    return {name: found for name, found in sorted(_FOUND.items()) if found.group in chosen}
+    return {name: law for name, law in sorted(_REGISTRY.items()) if law.group in chosen}
 
 
 def reads(h: Hall, observable: str, amount: Array) -> Change:
@@ -139,8 +139,8 @@ def leans(h: Hall, amount: Array, about: Array) -> Change:
 
 def scatters(h: Hall, observables: str, amount: Array) -> Change:
     """Variance is added to readings, such as `"azimuth elevation"`, by amounts (n,) in units of the stated one."""
-    own = np.array([name in observables.split() for name in OBSERVABLES], dtype=np.float64)
-    return Change(variance=np.asarray(amount)[:, None] * own)
+    is_changed = np.array([name in observables.split() for name in OBSERVABLES], dtype=np.float64)
+    return Change(variance=np.asarray(amount)[:, None] * is_changed)
 
 
 def gauge(h: Hall, amount: Array) -> Change:
@@ -156,27 +156,33 @@ def level(rng: Draw) -> Array:
 
 def carriers(change: Change) -> list[str]:
     """What a change turns, moves or scatters: readings, constants of the tracker, station, targets, gauge, noise."""
-    found = []
+    responses = []
     for name, part in change.parts.items():
         columns = np.flatnonzero(np.abs(part).max(axis=0)).tolist()
         names = {"reading": OBSERVABLES, "constants": CONSTANTS}.get(name)
-        known = {"target": "targets", "station": "station", "turn": "station", "variance": "noise", "lengths": "gauge"}
-        found += [names[c] for c in columns] if names else [known[name]]
-    return sorted(set(found))
+        response_names = {
+            "target": "targets",
+            "station": "station",
+            "turn": "station",
+            "variance": "noise",
+            "lengths": "gauge",
+        }
+        responses += [names[c] for c in columns] if names else [response_names[name]]
+    return sorted(set(responses))
 
 
 def place(h: Hall, change: Change) -> dict[str, list[str]]:
     """One station, one of two trackers, or some targets that a change is confined to; otherwise everywhere."""
-    found: dict[str, list[str]] = {"stations": [], "targets": [], "instruments": []}
+    places: dict[str, list[str]] = {"stations": [], "targets": [], "instruments": []}
     parts = {name: np.abs(part).max(axis=1) for name, part in change.parts.items() if name != "lengths"}
     p, hit = h.pointings, np.zeros(h.n, dtype=bool)
     for amount in parts.values():
         hit |= amount > UNTOUCHED * amount.max()
     stations, trackers, targets = (np.unique(index[hit]) for index in (p.station, p.tracker, p.target))
     if len(stations) == 1:
-        found["stations"] = [h.stations[stations[0]]]
+        places["stations"] = [h.stations[stations[0]]]
     elif len(trackers) < len(h.trackers):
-        found["instruments"] = [h.trackers[t] for t in trackers]
+        places["instruments"] = [h.trackers[t] for t in trackers]
     if parts.keys() <= {"target", "variance"} and len(targets) < len(h.targets):
-        found["targets"] = [h.targets[t] for t in targets]
-    return found
+        places["targets"] = [h.targets[t] for t in targets]
+    return places

@@ -84,7 +84,7 @@ def read_plan(path: Path) -> list[Case]:
 def make(cases: Sequence[Case], work: Path, jobs: int = 1) -> str:
     """Write recordings, truth and seal into a folder; the seal, which is the sha256 of the truth."""
     with ProcessPoolExecutor(jobs) as pool:
-        made = list(pool.map(make_one, cases, [work / RECORDINGS] * len(cases), chunksize=4))
+        made = list(pool.map(make_recording, cases, [work / RECORDINGS] * len(cases), chunksize=4))
     truth = json.dumps({t["name"]: t for t in made}, indent=1) + "\n"
     seal = hashlib.sha256(truth.encode()).hexdigest()
     (work / TRUTH).write_text(truth, encoding="utf-8")
@@ -92,7 +92,7 @@ def make(cases: Sequence[Case], work: Path, jobs: int = 1) -> str:
     return seal
 
 
-def make_one(case: Case, folder: Path) -> dict[str, Any]:
+def make_recording(case: Case, folder: Path) -> dict[str, Any]:
     """Write one recording; its truth."""
     excluded: Counter[str] = Counter()
     hall, network, cause, change = drawn(case, excluded)
@@ -104,7 +104,7 @@ def make_one(case: Case, folder: Path) -> dict[str, Any]:
     write_recording(hall, readings, hall.lengths + LENGTH_SIGMA * noise[1] + wrong, folder / case.name)
     largest = {name: float(np.abs(part).max()) for name, part in change.parts.items()}
     strength = {"strengths": network.strengths(change).tolist(), "largest": largest, "carriers": carriers(change)}
-    told = {"clean": (), "catalogued": cause.parts, "unknown": (change,)}[case.kind]
+    modelled_changes = {"clean": (), "catalogued": cause.parts, "unknown": (change,)}[case.kind]
     return {
         "name": case.name,
         **{key: getattr(case, key) for key in ("seed", "laws", "kind", "hall", "law", "strength", "number")},
@@ -112,7 +112,7 @@ def make_one(case: Case, folder: Path) -> dict[str, Any]:
         "stations": len(hall.stations),
         "unknowns": network.design.shape[1],
         "pointings": hall.n,
-        "told_um": network.target_error(noise, change, told),
+        "told_um": network.target_error(noise, change, modelled_changes),
         "plain_um": network.target_error(noise, change),
         "excluded": dict(excluded),
         "targets_mm": dict(zip(hall.targets, (1e3 * hall.pointings.points).tolist(), strict=True)),

@@ -60,8 +60,8 @@ class Model:
         """(m,) Whitened change of the readings and lengths."""
         return network.whitened(self.change, self.lengths)
 
-    def share(self, network: Network, truth: Change) -> float:
-        """Share of the strength of the truth that the model takes: 1 all, 0 none, negative where it does harm."""
+    def explained_fraction(self, network: Network, truth: Change) -> float:
+        """Fraction of the strength of the truth that the model explains; negative if the model does harm."""
         if truth.variance is not None:
             factor = 1.0 + truth.variance
             return float(1.0 - network.noise_strengths(factor / self.variance).sum() / network.strengths(truth).sum())
@@ -70,7 +70,7 @@ class Model:
         return float(1.0 - (rest @ rest) / (whole @ whole))
 
     def observables(self, network: Network, least: float, *, noise: bool) -> set[str]:
-        """The observables that carry more than a share of the strength of the model."""
+        """Observables with more than a fraction `least` of the strength of the model."""
         parts = network.noise_strengths(self.variance) if noise else network.mean_strengths(self.whitened(network))
         return {name for name, part in zip(OBSERVABLES, parts[:3], strict=True) if part > least * parts.sum()}
 

@@ -81,7 +81,9 @@ class Network:
         readings = self.base.size
         return np.append(each[:readings].reshape(-1, 3).sum(axis=0), each[readings:].sum())
 
-    def target_error(self, noise: tuple[Array, Array], change: Change, told: Sequence[Change] = ()) -> float:
+    def target_error(
+        self, noise: tuple[Array, Array], change: Change, modelled_changes: Sequence[Change] = ()
+    ) -> float:
         """Error [um, rms] of the targets after the best rigid fit; `told`: whose sizes are estimated too.
 
         `noise`: standard noise of the readings (n, 3) and of the lengths (g,).
@@ -92,8 +94,10 @@ class Network:
         start = self.base.size + len(noise[1])
         right[self.base.size : start] = noise[1]
         right[start:] = -(constants / GUARANTEED).ravel()
-        design = np.column_stack([self.design, *(self.signature(part) for part in told if part.variance is None)])
-        if told and change.variance is not None:
+        design = np.column_stack(
+            [self.design, *(self.signature(part) for part in modelled_changes if part.variance is None)]
+        )
+        if modelled_changes and change.variance is not None:
             weight = np.concatenate([spread.ravel(), np.ones(len(right) - spread.size)])
             design, right = design / weight[:, None], right / weight
         size = np.sqrt((design**2).sum(axis=0))
@@ -120,19 +124,19 @@ def _design(hall: Hall) -> Array:
     way = (ends[:, 1] - ends[:, 0]) / hall.lengths[:, None] / LENGTH_SIGMA
     lengths = np.zeros((len(bars), targets, 3))
     lengths[bars, hall.bars[:, 0]], lengths[bars, hall.bars[:, 1]] = -way, way
-    known = np.zeros((len(bars) + p.constants.size, readings.shape[2]))
-    known[: len(bars), : 3 * targets] = lengths.reshape(len(bars), -1)
+    reference_residuals = np.zeros((len(bars) + p.constants.size, readings.shape[2]))
+    reference_residuals[: len(bars), : 3 * targets] = lengths.reshape(len(bars), -1)
     guarantees = np.diag(1.0 / np.tile(GUARANTEED, trackers))
-    known[len(bars) :, 3 * targets : 3 * targets + p.constants.size] = guarantees
-    return np.vstack([(readings / hall.sigma[:, :, None]).reshape(3 * hall.n, -1), known])
+    reference_residuals[len(bars) :, 3 * targets : 3 * targets + p.constants.size] = guarantees
+    return np.vstack([(readings / hall.sigma[:, :, None]).reshape(3 * hall.n, -1), reference_residuals])
 
 
 def _derivatives(p: Pointings, what: str, owner: Index, owners: int, steps: Array) -> Array:
     """(n, 3, owners * k) Derivatives of the readings by a part of `Change` that each owner has k columns of."""
-    found = np.zeros((len(p), 3, owners, len(steps)))
+    derivatives = np.zeros((len(p), 3, owners, len(steps)))
     for column, step in enumerate(np.diag(steps)):
         moved = np.tile(step, (len(p), 1))
         change = p.readings(Change(**{what: moved})) - p.readings(Change(**{what: -moved}))
         change[:, 1] = within_a_turn(change[:, 1])
-        found[np.arange(len(p)), :, owner, column] = change / (2 * steps[column])
-    return found.reshape(len(p), 3, -1)
+        derivatives[np.arange(len(p)), :, owner, column] = change / (2 * steps[column])
+    return derivatives.reshape(len(p), 3, -1)

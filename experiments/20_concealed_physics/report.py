@@ -1,4 +1,4 @@
-"""Rows of answers as scores.json and one table, an entrant beside the other; intervals know laws."""
+"""Scores of answers: recordings.jsonl, scores.json and one table with a column for each entrant."""
 
 import json
 from collections.abc import Sequence
@@ -8,83 +8,87 @@ from typing import Any
 
 import numpy as np
 
-from experiments.intervals import quantile, share
+from experiments.intervals import proportion, quantile
 
 from .score import Row
 
 ROWS = "recordings.jsonl"
 EDGES = (0.0, 0.5, 0.7, 0.9, 0.99, 1.0)
 LEVEL, ENOUGH = 0.05, 40
-"""False alarms at which the power of entrants is compared, and clean recordings from which their limit is drawn."""
+"""Rate of false alarms at which detections are compared; least number of clean recordings for its limit."""
 WORSE = 1.05
 QUESTIONS = {
-    "found": "found",
-    "found_at_equal_alarms": "found, at 5 % false alarms of its own",
+    "detected": "detected",
+    "detected_at_equal_alarms": "detected, with the limit that gives this program 5 % false alarms",
     "named_first": "named first",
-    "named": "named first, or stated as one of three",
-    "unknown": "called unknown",
-    "observable": "... and its observable",
-    "all_covariates": "... and all covariates",
-    "outside": "... or observable, and said that the cause is outside",
-    "covariates_or_outside": "all covariates, or said outside",
-    "place": "place right, of what was named or called unknown",
-    "wrong_name": "a wrong name above 0.9",
-    "one_finding": "told as one finding",
-    "told_rightly": "told rightly: 75 % of the signal, place, observable",
-    "law_right": "the right law of the list",
-    "worse": "targets worse than plain",
-    "worse_than_calibrate": "targets worse than those of `plain` (calibrate) on the same file",
-    "told_worse": "targets of somebody told the truth worse than plain",
+    "named": "named first, or among the first three names",
+    "unknown": "reported as unknown",
+    "observable": "reported as unknown, with the right observable",
+    "all_covariates": "reported as unknown, with the right observable and covariates",
+    "outside": "right observable, and the covariate reported as not recorded",
+    "covariates_or_outside": "all covariates right, or reported as not recorded",
+    "place": "right place, of the effects that are named or reported as unknown",
+    "wrong_name": "wrong name with a probability above 0.9",
+    "single_finding": "reported as a single finding",
+    "correctly_reported": "correctly reported: 75 % of the signal, place, observable",
+    "law_right": "right law of the list",
+    "worse": "targets worse than those of the linear adjustment",
+    "worse_than_calibrate": "targets worse than those of `plain` (calibrate) for the same recording",
+    "given_law_worse": "targets of the adjustment given the law worse than those of the linear adjustment",
 }
 Answer = dict[str, Any]
-"""`right` of `of`, or a `value`; with the ends `low` and `high` of its interval."""
+"""`count` of `total`, or a `value`; with the ends `low` and `high` of its interval."""
 
 
 def summarise(rows: Sequence[Row]) -> dict[str, Answer]:
-    """All that the examination asks of one entrant, by question."""
+    """Answers to the questions of the examination for one entrant, by question."""
     answered = [r for r in rows if r["answered"]]
     alarms = [r["p_value"] for r in answered if r["kind"] == "clean"]
-    own = float(np.quantile(alarms, LEVEL)) if len(alarms) >= ENOUGH else None
+    limit = float(np.quantile(alarms, LEVEL)) if len(alarms) >= ENOUGH else None
     for r in answered:
         error = r.get("error_um")
-        r["found_at_equal_alarms"] = None if own is None else r["p_value"] <= own
+        r["detected_at_equal_alarms"] = None if limit is None else r["p_value"] <= limit
         r["worse"] = None if error is None else error > WORSE * r["plain_um"]
-        r["told_worse"] = None if error is None else r["told_um"] > WORSE * r["plain_um"]
-    found: dict[str, Answer] = {"answered": share([r["answered"] for r in rows], [_cluster(r) for r in rows])}
+        r["given_law_worse"] = None if error is None else r["given_law_um"] > WORSE * r["plain_um"]
+    answers: dict[str, Answer] = {"answered": proportion([r["answered"] for r in rows], [_cluster(r) for r in rows])}
     places = sorted({(r["kind"], r["hall"], r["strength"]) for r in answered}, key=lambda p: (p[0] != "clean", p))
     for kind, hall, strength in places:
         of = [r for r in answered if (r["kind"], r["hall"], r["strength"]) == (kind, hall, strength)]
         if kind == "clean":
-            found[f"false alarms, {hall}"] = _share(of, "found")
+            answers[f"false alarms, {hall}"] = _proportion(of, "detected")
             continue
         for key, question in QUESTIONS.items():
             asked = [r for r in of if key != "place" or r.get("named", r.get("unknown"))]
             if any(key in r for r in of):
-                found[f"{kind} {hall} {strength}: {question}"] = _share(asked, key)
+                answers[f"{kind} {hall} {strength}: {question}"] = _proportion(asked, key)
         for level, word in ((0.25, "lower quartile"), (0.5, "median"), (0.75, "upper quartile")):
-            found[f"{kind} {hall} {strength}: share of the signal taken, {word}"] = _quantile(of, "share_taken", level)
-        found[f"{kind} {hall} {strength}: coefficients over those of the law, median"] = _quantile(
+            answers[f"{kind} {hall} {strength}: explained fraction of the signal, {word}"] = _quantile(
+                of, "explained_fraction", level
+            )
+        answers[f"{kind} {hall} {strength}: number of coefficients over that of the law, median"] = _quantile(
             of, "coefficients", 0.5
         )
-        for who, error in (("targets", "error_um"), ("targets of plain", "plain_um")):
-            known = [r for r in of if r.get("error_um") is not None]
-            ratios = [r[error] / r["told_um"] for r in known]
+        for who, error in (("targets", "error_um"), ("targets of the linear adjustment", "plain_um")):
+            measured = [r for r in of if r.get("error_um") is not None]
+            ratios = [r[error] / r["given_law_um"] for r in measured]
             for level, word in ((0.5, "median"), (0.95, "95 %")):
-                over = f"{kind} {hall} {strength}: error of {who} over told, {word}"
-                found[over] = quantile(ratios, [_cluster(r) for r in known], level)
+                over = f"{kind} {hall} {strength}: error of {who} over that given the law, {word}"
+                answers[over] = quantile(ratios, [_cluster(r) for r in measured], level)
     judged = [(ok, _cluster(r)) for r in answered for ok in r.get("parameters", [])]
-    found["catalogued: parameters inside their 95 % intervals"] = share(*_columns(judged, 2))
-    stated = [(p, ok, _cluster(r)) for r in answered for p, ok in r["stated"]]
+    answers["catalogued: parameters inside their 95 % intervals"] = proportion(*_columns(judged, 2))
+    findings = [(p, ok, _cluster(r)) for r in answered for p, ok in r["probabilities"]]
     for low, high in pairwise(EDGES):
-        bin_ = _columns([s for s in stated if low <= s[0] and (s[0] < high or high == EDGES[-1])], 3)
-        found[f"findings stated {low:g} to {high:g}: right; mean stated"] = answer = share(*bin_[1:])
-        if answer["of"]:
-            answer["stated"] = float(np.mean(bin_[0]))
-            answer["holds"] = answer["low"] <= answer["stated"] <= answer["high"]
+        bin_ = _columns([s for s in findings if low <= s[0] and (s[0] < high or high == EDGES[-1])], 3)
+        answers[f"findings with probability {low:g} to {high:g}: right; mean probability"] = answer = proportion(
+            *bin_[1:]
+        )
+        if answer["total"]:
+            answer["probabilities"] = float(np.mean(bin_[0]))
+            answer["holds"] = answer["low"] <= answer["probabilities"] <= answer["high"]
     for hall in sorted({r["hall"] for r in answered}):
         seconds = [r["seconds"] for r in answered if r["hall"] == hall]
-        found[f"seconds a recording, {hall}, median"] = {"value": float(np.median(seconds))}
-    return found
+        answers[f"seconds for a recording, {hall}, median"] = {"value": float(np.median(seconds))}
+    return answers
 
 
 def _cluster(r: Row) -> str:
@@ -95,43 +99,52 @@ def _columns(rows: Sequence[tuple[Any, ...]], width: int) -> list[tuple[Any, ...
     return list(zip(*rows, strict=True)) or [()] * width
 
 
-def _share(rows: Sequence[Row], key: str) -> Answer:
-    own = [r for r in rows if r.get(key) is not None]
-    return share([bool(r[key]) for r in own], [_cluster(r) for r in own])
+def _proportion(rows: Sequence[Row], key: str) -> Answer:
+    answered = [r for r in rows if r.get(key) is not None]
+    return proportion([bool(r[key]) for r in answered], [_cluster(r) for r in answered])
 
 
 def _quantile(rows: Sequence[Row], key: str, level: float) -> Answer:
-    own = [r for r in rows if r.get(key) is not None]
-    return quantile([r[key] for r in own], [_cluster(r) for r in own], level)
+    answered = [r for r in rows if r.get(key) is not None]
+    return quantile([r[key] for r in answered], [_cluster(r) for r in answered], level)
 
 
 def compare_with_calibrate(rows: dict[str, list[Row]]) -> None:
-    """Mark the answers whose targets are more than 5 % worse than those of the entrant `plain` on the same file."""
+    """Mark the answers whose target errors are more than 5 % larger than those of `plain` for the same recording."""
     plain = {r["name"]: r["error_um"] for r in rows.get("plain", ()) if r.get("error_um") is not None}
-    for r in (r for own in rows.values() for r in own):
+    for r in (r for entrant_rows in rows.values() for r in entrant_rows):
         if r.get("error_um") is not None and r["name"] in plain:
             r["worse_than_calibrate"] = r["error_um"] > WORSE * plain[r["name"]]
 
 
 def write_report(entrants: dict[str, list[Row]], out: Path, head: dict[str, Any]) -> None:
-    """recordings.jsonl, scores.json, table.md; entrants that are not among these keep what they have of this truth."""
+    """Write recordings.jsonl, scores.json, table.md; other entrants keep their earlier rows for the same truth."""
     out.mkdir(parents=True, exist_ok=True)
     scores = out / "scores.json"
     before = json.loads(scores.read_text(encoding="utf-8")) if scores.is_file() else {}
     same = before.get("sha256") == head["sha256"]
     rows = (read_rows(out / ROWS) if same else {}) | entrants
     compare_with_calibrate(rows)
-    columns = ["entrant", *dict.fromkeys(key for own in rows.values() for r in own for key in r)]
-    lines = [[name, *(r.get(key) for key in columns[1:])] for name, own in rows.items() for r in own]
+    columns = ["entrant", *dict.fromkeys(key for entrant_rows in rows.values() for r in entrant_rows for key in r)]
+    lines = [[name, *(r.get(key) for key in columns[1:])] for name, entrant_rows in rows.items() for r in entrant_rows]
     texts = (json.dumps(_short(_without_nulls_behind(line)), separators=(",", ":")) for line in [columns, *lines])
     (out / ROWS).write_text("".join(text + "\n" for text in texts), encoding="utf-8")
-    summaries = (before["entrants"] if same else {}) | {name: summarise(own) for name, own in entrants.items()}
+    summaries = (before["entrants"] if same else {}) | {
+        name: summarise(entrant_rows) for name, entrant_rows in entrants.items()
+    }
     scores.write_text(json.dumps(_short(head | {"entrants": summaries}), indent=1) + "\n", encoding="utf-8")
     (out / "table.md").write_text(table(summaries, head), encoding="utf-8")
 
 
+def rewrite_report(out: Path) -> None:
+    """Write scores.json and table.md again from the rows of recordings.jsonl."""
+    scores = json.loads((out / "scores.json").read_text(encoding="utf-8"))
+    head = {key: value for key, value in scores.items() if key != "entrants"}
+    write_report(read_rows(out / ROWS), out, head)
+
+
 def _without_nulls_behind(line: list[Any]) -> list[Any]:
-    """The row up to its last value."""
+    """Row up to its last value."""
     return line[: max((i + 1 for i, value in enumerate(line) if value is not None), default=0)]
 
 
@@ -141,29 +154,31 @@ def _short(content: Any) -> Any:
 
 
 def read_rows(file: Path) -> dict[str, list[Row]]:
-    """Rows by entrant of a file that names its columns first; what a row lacks is null there, or left out behind."""
-    found: dict[str, list[Row]] = {}
+    """Rows by entrant of a file whose first line names the columns; a missing value is null, or omitted at the end."""
+    rows: dict[str, list[Row]] = {}
     columns, *lines = map(json.loads, file.read_text(encoding="utf-8").splitlines()) if file.is_file() else [[]]
     for line in lines:
         row = {key: value for key, value in zip(columns, line, strict=False) if value is not None}
-        found.setdefault(row.pop("entrant"), []).append(row)
-    return found
+        rows.setdefault(row.pop("entrant"), []).append(row)
+    return rows
 
 
 def table(summaries: dict[str, dict[str, Answer]], head: dict[str, Any]) -> str:
-    """A question a row, an entrant a column."""
+    """Table in Markdown with a row for each question and a column for each entrant."""
     lines = [f"# {head['plan']}: {head['recordings']} recordings, {head['draws_excluded']} draws excluded", ""]
     lines += [f"Truth: sha256 {head['sha256']}", "", "| question | " + " | ".join(summaries) + " |"]
     lines += ["|---" * (len(summaries) + 1) + "|"]
     for question in dict.fromkeys(q for s in summaries.values() for q in s):
-        lines.append(f"| {question} | " + " | ".join(_said(s.get(question, {})) for s in summaries.values()) + " |")
+        lines.append(
+            f"| {question} | " + " | ".join(_answer_text(s.get(question, {})) for s in summaries.values()) + " |"
+        )
     return "\n".join(lines) + "\n"
 
 
-def _said(a: Answer) -> str:
-    if "right" in a and a["of"]:
-        bin_ = f"; {a['stated']:.3f}{'' if a['holds'] else ' **no**'}" if "stated" in a else ""
-        return f"{a['right']} of {a['of']} ({100 * a['low']:.0f} to {100 * a['high']:.0f} %){bin_}"
+def _answer_text(a: Answer) -> str:
+    if "count" in a and a["total"]:
+        bin_ = f"; {a['mean_probability']:.3f}{'' if a['holds'] else ' **no**'}" if "mean_probability" in a else ""
+        return f"{a['count']} of {a['total']} ({100 * a['low']:.0f} to {100 * a['high']:.0f} %){bin_}"
     if "value" in a:
         return f"{a['value']:.2f}" + (f" ({a['low']:.2f} to {a['high']:.2f})" if "low" in a else "")
     return "–"

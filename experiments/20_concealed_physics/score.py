@@ -1,4 +1,4 @@
-"""One answer against the truth of its recording. RULES.md says in words what each function here counts as right."""
+"""Score of one answer against the truth of its recording; RULES.md describes the rules."""
 
 import csv
 import json
@@ -17,40 +17,41 @@ from .measure import Model
 Row = dict[str, Any]
 LIMIT = 1.959964
 SHOWN = 0.1
-"""Share of the strength from which an observable is one that shows a law."""
+"""Fraction of the strength from which an observable counts as one in which a law shows."""
 OVERLAP = 0.5
-"""Share of common names from which several stations or targets are the right ones."""
+"""Fraction of common names from which several stations or targets are right."""
 RIGHT = 0.75
-"""Share of the true signal from which a model describes it rightly; half the size takes as much."""
+"""Fraction of the true signal from which a model describes it correctly; half of the true size explains as much."""
 HIGH = 0.9
 GEOMETRY = {"distance", "azimuth", "elevation", "incidence", "height", "place", "face"}
-"""What the pointing itself says: a constant or a motion shows by these, so they need not be told beside it."""
+"""Covariates of the pointing itself, which need not be reported for an instrument constant or a motion."""
 SAME = {"hall_temperature_c": "temperature"}
 AS_UNKNOWN = {"noise": ("noise-level", "station-noise", "turbulence"), "gauge": ("gauge-scale", "gauge-shape")}
-"""Names of the catalogue under which a law of this carrier is rightly told, besides unknown."""
+"""Names of the catalogue that are right for a law with this response, in addition to unknown."""
 WORDS = {
     "station": ("stand", "station"),
     "targets": ("target", "nest"),
     "gauge": ("gauge", "length"),
     "noise": ("noise",),
 }
-"""What a carrier may be called, besides the names of the tracker's constants."""
+"""Words for a response, in addition to the names of the tracker's constants."""
 
 
-def score_one(truth: dict[str, Any], folder: Path) -> Row:
-    """Everything that is counted of one recording."""
-    row: Row = {k: truth[k] for k in ("name", "kind", "hall", "law", "strength", "told_um", "plain_um")}
+def score_recording(truth: dict[str, Any], folder: Path) -> Row:
+    """Row of the scores of one recording."""
+    row: Row = {k: truth[k] for k in ("name", "kind", "hall", "law", "strength", "plain_um")}
+    row["given_law_um"] = truth["told_um"]
     status = json.loads((folder / "status.json").read_text(encoding="utf-8"))
     row |= {"seconds": status["seconds"], "answered": (folder / "diagnosis.json").is_file()}
     if not row["answered"]:
         return row
     answer = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))
     findings, test, hidden = answer["findings"], answer["global_test"], truth["hidden"]
-    row |= {"found": answer["verdict"] == "mismatch", "p_value": test.get("search_p_value", test["p_value"])}
-    row |= {"answer": " + ".join(f["effect"] for f in findings), "one_finding": len(findings) == 1}
+    row |= {"detected": answer["verdict"] == "mismatch", "p_value": test.get("search_p_value", test["p_value"])}
+    row |= {"answer": " + ".join(f["effect"] for f in findings), "single_finding": len(findings) == 1}
     row["error_um"] = target_error(truth["targets_mm"], folder / "targets.csv")
-    stated = [(f.get("evidence", {}).get("probability"), f) for f in findings]
-    row["stated"] = [(p, right(truth, f)) for p, f in stated if p is not None]
+    probabilities = [(f.get("evidence", {}).get("probability"), f) for f in findings]
+    row["probabilities"] = [(p, right(truth, f)) for p, f in probabilities if p is not None]
     first = findings[0] if findings else None
     if truth["kind"] == "catalogued":
         row |= _named(truth, first)
@@ -62,10 +63,10 @@ def score_one(truth: dict[str, Any], folder: Path) -> Row:
 
 
 def _measured(truth: dict[str, Any], finding: dict[str, Any] | None, folder: Path) -> Row:
-    """Share of the true signal that is taken, told rightly, coefficients over those of the truth, law of the list."""
+    """Explained fraction of the true signal, correctness of the report, coefficients over those of the truth."""
     _, network, _, change = drawn(Case.of(truth), Counter())
     model, hidden, noise = Model.read(folder, network), truth["hidden"], change.variance is not None
-    row: Row = {"share_taken": model.share(network, change), "told_rightly": False}
+    row: Row = {"explained_fraction": model.explained_fraction(network, change), "correctly_reported": False}
     if "law" in model.notes:
         row["law_right"] = model.notes["law"] == truth["law"]
     if finding is None:
@@ -76,22 +77,22 @@ def _measured(truth: dict[str, Any], finding: dict[str, Any] | None, folder: Pat
         or observable_right(hidden, finding)
         or ("gauge" not in hidden["carriers"] and model.observables(network, SHOWN, noise=noise) == _shown(hidden))
     )
-    row["told_rightly"] = row["share_taken"] >= RIGHT and row["place_right"] and row["observable_shown"]
+    row["correctly_reported"] = row["explained_fraction"] >= RIGHT and row["place_right"] and row["observable_shown"]
     if model.notes.get("coefficients"):
         row["coefficients"] = model.notes["coefficients"] / hidden["coefficients"]
     return row
 
 
 def place_right(truth: dict[str, Any], finding: dict[str, Any]) -> bool:
-    """Stations, targets and instruments of an effect; stations and instruments of a law, whatever it is called."""
+    """True for the stations, targets and instruments of an effect, or the stations and instruments of a law."""
     keys = ("stations", "targets") if truth["kind"] == "catalogued" else ("stations", "instruments")
     pairs = [(set(truth["hidden"][key]), set(finding["where"].get(key, []))) for key in keys]
     several = truth["kind"] == "unknown"
-    return all(_alike(true, told) or (several and len(true) > 1 and not told) for true, told in pairs)
+    return all(_names_agree(true, reported) or (several and len(true) > 1 and not reported) for true, reported in pairs)
 
 
 def right(truth: dict[str, Any], finding: dict[str, Any]) -> bool:
-    """Whether a finding says what was hidden: name and place of an effect, or unknown with the observable of a law."""
+    """True if a finding has name and place of the effect, or is unknown with the observable of the law."""
     if truth["kind"] == "clean":
         return False
     if truth["kind"] == "catalogued":
@@ -100,52 +101,52 @@ def right(truth: dict[str, Any], finding: dict[str, Any]) -> bool:
 
 
 def target_error(true_mm: dict[str, list[float]], file: Path) -> float | None:
-    """Error [um, rms] of the targets after the best rigid fit; None where there are none."""
+    """Root mean square error [um] of the targets after the best rigid fit; None without targets."""
     if not file.is_file():
         return None
     with file.open(encoding="utf-8") as lines:
-        told = {r["target"]: [float(r[f"{a}_mm"]) for a in "xyz"] for r in csv.DictReader(lines)}
-    names = [name for name in true_mm if name in told]
+        reported = {r["target"]: [float(r[f"{a}_mm"]) for a in "xyz"] for r in csv.DictReader(lines)}
+    names = [name for name in true_mm if name in reported]
     if len(names) < 4:
         return None
-    points, truth = (np.array([source[n] for n in names]) for source in (told, true_mm))
+    points, truth = (np.array([source[n] for n in names]) for source in (reported, true_mm))
     a, b = points - points.mean(axis=0), truth - truth.mean(axis=0)
     gap = Rotation.align_vectors(b, a)[0].apply(a) - b
     return float(1e3 * np.sqrt((gap**2).sum(axis=1).mean()))
 
 
 def _named(truth: dict[str, Any], finding: dict[str, Any] | None) -> Row:
-    """Name, place and parameters of an effect against the first finding."""
+    """Scores of the name, the place and the parameters of an effect in the first finding."""
     if finding is None:
         return {"named_first": False, "named": False}
     first = finding["effect"] == truth["law"]
-    stated = any(e["effect"] == truth["law"] for e in finding.get("equivalents", [])[:3])
-    row: Row = {"named_first": first, "named": first or stated}
+    is_alternative = any(e["effect"] == truth["law"] for e in finding.get("equivalents", [])[:3])
+    row: Row = {"named_first": first, "named": first or is_alternative}
     if row["named"]:
         row["place"] = same_place(truth["hidden"], finding, strict=first)
     if first:
         true = {p["name"]: p["value"] for p in truth["hidden"]["parameters"]} | truth["hidden"]["shape"]
-        told = [p for p in finding.get("parameters", []) if p["name"] in true and p["sigma"] > 0]
-        row["parameters"] = [bool(abs(p["value"] - true[p["name"]]) <= LIMIT * p["sigma"]) for p in told]
+        reported = [p for p in finding.get("parameters", []) if p["name"] in true and p["sigma"] > 0]
+        row["parameters"] = [bool(abs(p["value"] - true[p["name"]]) <= LIMIT * p["sigma"]) for p in reported]
     return row
 
 
 def same_place(hidden: dict[str, Any], finding: dict[str, Any], *, strict: bool) -> bool:
-    """Stations, targets and observables alike; an effect that is stated beside another may be less confined."""
+    """True if stations, targets and observables agree; an alternative effect may be less confined."""
     true = {key: set(hidden[key]) for key in ("stations", "targets", "observables")}
-    told = {key: set(finding["where"].get(key, [])) for key in true}
-    sets = [(true[key], told[key]) for key in ("stations", "targets")]
-    loose = not strict and (not true["observables"] or not told["observables"])
-    observables = loose or told["observables"] == true["observables"]
-    return observables and all(_alike(a, b) or (not strict and (not a or not b)) for a, b in sets)
+    reported = {key: set(finding["where"].get(key, [])) for key in true}
+    sets = [(true[key], reported[key]) for key in ("stations", "targets")]
+    loose = not strict and (not true["observables"] or not reported["observables"])
+    observables = loose or reported["observables"] == true["observables"]
+    return observables and all(_names_agree(a, b) or (not strict and (not a or not b)) for a, b in sets)
 
 
-def _alike(true: set[str], told: set[str]) -> bool:
-    return true == told if len(true) < 2 else len(true & told) >= OVERLAP * len(true | told)
+def _names_agree(true: set[str], reported: set[str]) -> bool:
+    return true == reported if len(true) < 2 else len(true & reported) >= OVERLAP * len(true | reported)
 
 
 def _recognised(hidden: dict[str, Any], finding: dict[str, Any] | None) -> Row:
-    """Whether a law is told as unknown, with its observable, its place and what it follows."""
+    """Scores of a law that is reported as unknown: observable, place and covariates."""
     asked = ("unknown", "observable", "all_covariates", "outside", "covariates_or_outside", "place", "wrong_name")
     if finding is None:
         return dict.fromkeys(asked, False)
@@ -156,37 +157,41 @@ def _recognised(hidden: dict[str, Any], finding: dict[str, Any] | None) -> Row:
     wrong = not unknown and finding.get("evidence", {}).get("probability", 0.0) > HIGH
     place = unknown and place_right({"kind": "unknown", "hidden": hidden}, finding)
     values = (unknown, observable, covariates, outside and not covariates, covariates or outside, place, wrong)
-    told_as = {f"told_{key}": finding.get(key, "") for key in ("carrier", "driver")}
-    return told_as | dict(zip(asked, values, strict=True))
+    response_and_regressor = {
+        f"reported_{name}": finding.get(key, "") for name, key in (("response", "carrier"), ("regressor", "driver"))
+    }
+    return response_and_regressor | dict(zip(asked, values, strict=True))
 
 
 def is_unknown(hidden: dict[str, Any], finding: dict[str, Any]) -> bool:
-    """Called unknown; a law of the noise or of the known lengths may bear the general name."""
+    """True if reported as unknown; a law of the noise or of the gauge may have the general name."""
     return finding["effect"] in {"unknown", *(n for c in hidden["carriers"] for n in AS_UNKNOWN.get(c, ()))}
 
 
 def observable_right(hidden: dict[str, Any], finding: dict[str, Any]) -> bool:
-    """The observables in which the law shows are told, or the constant or motion that it turns or moves."""
+    """True if the observables in which the law shows are reported, or the constant or motion that the law changes."""
     tokens = set(re.findall(r"[a-z]+", finding.get("carrier", "").lower()))
     tokens |= {token.rstrip("s") for token in tokens}
     for carrier in hidden["carriers"]:
         if carrier in WORDS and (tokens & set(WORDS[carrier]) or finding["effect"] in AS_UNKNOWN.get(carrier, ())):
-            return carrier != "noise" or _told(finding) == _shown(hidden)
+            return carrier != "noise" or _reported_observables(finding) == _shown(hidden)
         if carrier not in OBSERVABLES and not (set(carrier.split("-")) - {"cos", "sin"}) - tokens:
             return True
-    return "gauge" not in hidden["carriers"] and _told(finding) == _shown(hidden)
+    return "gauge" not in hidden["carriers"] and _reported_observables(finding) == _shown(hidden)
 
 
 def _shown(hidden: dict[str, Any]) -> set[str]:
-    """The observables in which a law shows, by what each has in its strength."""
+    """Observables in which a law shows, by their part of its strength."""
     parts = hidden["strengths"][:3]
     return {name for name, part in zip(OBSERVABLES, parts, strict=True) if part > SHOWN * sum(hidden["strengths"])}
 
 
-def _told(finding: dict[str, Any]) -> set[str]:
-    """The observables of a finding, all where it names none; of noise those that scatter beyond their uncertainty."""
-    found = finding.get("parameters", [])
-    scatter = {p["name"].removeprefix("noise-") for p in found if p["value"] > LIMIT * p["sigma"]} & set(OBSERVABLES)
+def _reported_observables(finding: dict[str, Any]) -> set[str]:
+    """Observables of a finding, all if it names none; for noise those whose factor exceeds its uncertainty."""
+    parameters = finding.get("parameters", [])
+    scatter = {p["name"].removeprefix("noise-") for p in parameters if p["value"] > LIMIT * p["sigma"]} & set(
+        OBSERVABLES
+    )
     return set(finding["where"].get("observables", [])) or scatter or set(OBSERVABLES)
 
 
@@ -195,10 +200,10 @@ def _covariates(finding: dict[str, Any]) -> set[str]:
 
 
 def covariates_right(hidden: dict[str, Any], finding: dict[str, Any]) -> bool:
-    """Each covariate that the law follows is told, and none besides what may be."""
-    told, follows = _covariates(finding), [{SAME.get(x, x) for x in item} for item in hidden["follows"]]
+    """True if each covariate of the law is reported, and no other than the permitted ones."""
+    reported, follows = _covariates(finding), [{SAME.get(x, x) for x in item} for item in hidden["follows"]]
     moving = any(c not in (*OBSERVABLES, "noise") for c in hidden["carriers"])
     carried = finding.get("carrier", "") not in ("", "noise", *OBSERVABLES)
     needed = [item for item in follows if not (carried and item <= GEOMETRY and len(follows) > 1)]
     allowed = set().union(*follows, hidden["may"], GEOMETRY if moving and not carried else ())
-    return all(told & item for item in needed) and told <= {SAME.get(x, x) for x in allowed}
+    return all(reported & item for item in needed) and reported <= {SAME.get(x, x) for x in allowed}

@@ -47,10 +47,13 @@ def described(raw: Array, constants: Array) -> Array:
     along = length * np.cos(beam)
     forward = along * np.cos(elevation) - vertical * np.sin(elevation) + transit
     height = along * np.sin(elevation) + vertical * np.cos(elevation)
-    left = length * np.sin(beam) + lateral
-    left, height = left * np.cos(tilt) - height * np.sin(tilt), left * np.sin(tilt) + height * np.cos(tilt)
-    x = forward * np.cos(azimuth) - left * np.sin(azimuth)
-    y = forward * np.sin(azimuth) + left * np.cos(azimuth)
+    across = length * np.sin(beam) + lateral
+    across, height = (
+        across * np.cos(tilt) - height * np.sin(tilt),
+        across * np.sin(tilt) + height * np.cos(tilt),
+    )
+    x = forward * np.cos(azimuth) - across * np.sin(azimuth)
+    y = forward * np.sin(azimuth) + across * np.cos(azimuth)
     return np.stack([x, y, height], axis=1)
 
 
@@ -156,7 +159,7 @@ class Pointings:
         return np.asarray((arm[:, None, :] @ self.rotation[self.station])[:, 0])
 
     @property
-    def seen(self) -> Array:
+    def local_points(self) -> Array:
         """(n, 3) Range [m], azimuth and elevation [rad] as an ideal tracker has them on the front face."""
         return sphere(self.local())
 

@@ -1,4 +1,4 @@
-"""Concealed recordings of another simulator: as diagnosed while their truth was sealed, and as diagnosed today.
+"""Diagnoses of concealed recordings of another simulator: the sealed ones, and those of the present version.
 
 python -m experiments 21 [round-1] [round-2] [round-3]    diagnosed today, all against the truth
 python -m experiments 21 round-4                          once its truth is open
@@ -19,16 +19,16 @@ from .score import answers_of, markdown, scored
 
 SHARED = ROOT.parent / "shared" / "concealed"
 COMMITTED = ROOT / "results" / "concealed"
-"""What was told while the truth was sealed; never written again."""
+"""Diagnoses from the time when the truth was sealed; they are never written again."""
 TODAY = ROOT / "build" / "concealed-rounds"
 ROUNDS = ("round-1", "round-2", "round-3", "round-4")
 
 
 def examine(folder: Path, out: Path) -> None:
     """Diagnose one recording with default settings, and write it down."""
-    found = diagnose(read(folder))
-    diagnosis = json.dumps(found.content(), allow_nan=False) + "\n"
-    write_texts(out / folder.name, {"diagnosis.json": diagnosis, "targets.csv": found.table("targets").csv_text()})
+    diagnosis = diagnose(read(folder))
+    diagnosis = json.dumps(diagnosis.content(), allow_nan=False) + "\n"
+    write_texts(out / folder.name, {"diagnosis.json": diagnosis, "targets.csv": diagnosis.table("targets").csv_text()})
 
 
 def recordings_of(name: str) -> list[Path]:
@@ -55,6 +55,6 @@ def score_round(name: str, out: Path) -> None:
     """A table of one round: as committed, and of today."""
     truth = json.loads((SHARED / f"{name}-truth.json").read_text(encoding="utf-8"))
     sets = {"as committed, sealed": answers_of(COMMITTED / name), "today, truth open": answers_of(TODAY / name)}
-    rows = {said: [scored(n, truth[n], answers[n]) for n in sorted(truth)] for said, answers in sets.items()}
+    rows = {title: [scored(n, truth[n], answers[n]) for n in sorted(truth)] for title, answers in sets.items()}
     head = f"# Concealed recordings, {name}, against their truth\n\n    python -m experiments 21 {name}\n\n"
     write_text(out / f"{name}.md", head + markdown(rows))

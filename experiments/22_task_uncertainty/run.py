@@ -1,4 +1,4 @@
-"""Is the uncertainty of a task what it is said to be? Predicted against the spread of simulated measurements."""
+"""Comparison of predicted uncertainties of measurement tasks with the scatter of simulated measurements."""
 
 from typing import Any
 
@@ -36,8 +36,8 @@ def errors_of(truth: TrueNetwork, tasks: Tasks, placed: Floats, seed: int, numbe
     frame of inner constraints, which the prediction is told in.
     """
     engine = BatchCalibrator(truth, misalignment_construction())
-    found = engine.calibrate(truth.draw_batch(seed, number))
-    drawn = truth.state.target_points + np.moveaxis(found.target_errors, 2, 0)
+    calibrated = engine.calibrate(truth.draw_batch(seed, number))
+    drawn = truth.state.target_points + np.moveaxis(calibrated.target_errors, 2, 0)
     rotation, shift, _ = align_with_scale(placed, drawn)
     drawn = np.einsum("bji,btj->bti", rotation, drawn - shift[:, None])
     measurands = [Measurand.from_task(task, truth.recording.targets, placed) for task in tasks.task]
@@ -52,9 +52,9 @@ Names = list[tuple[str, str, str, float]]
 def predicted(truth: TrueNetwork, tasks: Tasks, dropped: str = "") -> tuple[LinearUncertainty, Names, Floats]:
     """Uncertainty of an error-free recording, without one source; its results, and where it has the targets (T, 3)."""
     budget = tuple(entry for entry in tasks.type_b if entry.effect != dropped)
-    told = tasks.model_copy(update={"type_b": budget, "datum": truth.recording.targets})
-    inputs = TaskInputs.from_recording(truth.recording, told)
-    measurands = [Measurand.from_task(task, inputs.target_names, inputs.points) for task in told.task]
+    tasks_with_budget = tasks.model_copy(update={"type_b": budget, "datum": truth.recording.targets})
+    inputs = TaskInputs.from_recording(truth.recording, tasks_with_budget)
+    measurands = [Measurand.from_task(task, inputs.target_names, inputs.points) for task in tasks_with_budget.task]
     names = [(m.task.name, o.name, o.unit, o.si_per_unit) for m in measurands for o in m.outputs]
     points = inputs.network_or_coordinates.state.target_points
     return propagate(inputs, measurands, thermal_expansion_of_part(None)), names, points
@@ -73,7 +73,7 @@ def table_of(case: str, errors: Floats, linear: LinearUncertainty, names: Names)
             "observed_over_predicted": round(float(scatter[i] / linear.standard_uncertainties[i]), 4),
             "uncertainty_of_the_ratio": round(float(1 / np.sqrt(2 * (count - 1))), 4),
             "inside_95_percent": round(100 * float(inside[i]), 2),
-            "uncertainty_of_the_share": round(100 * float(np.sqrt(0.95 * 0.05 / count)), 2),
+            "uncertainty_of_the_fraction": round(100 * float(np.sqrt(0.95 * 0.05 / count)), 2),
         })  # fmt: skip
     return rows
 

@@ -1,4 +1,4 @@
-"""What calibration makes of new points when the stated prior is wrong by a factor of 0.1 to 1000."""
+"""Errors of new points after calibrations whose declared prior is wrong by a factor of 0.1 to 1000."""
 
 from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, write_figure, write_table
 from ltsim.reports.figures.campaign import sweep_panels_figure, sweep_points
@@ -8,15 +8,15 @@ def run(given: Options) -> Made:
     results = campaign("config.toml", given)
     for errors in dict.fromkeys(level["error_factor"] for level in results.levels):
         rows = sweep_points(results, ERROR, "prior_factor", panel="noise_factor", error_factor=errors)
-        figure = sweep_panels_figure(rows, statistic_title=NEW_POINTS, x_title="stated prior over the paper's")
+        figure = sweep_panels_figure(rows, statistic_title=NEW_POINTS, x_title="declared prior over the paper's")
         write_figure(given.out / f"errors-{errors:g}.svg", figure)
     # The ratio to the error as read, instrument by instrument.
     ratio = f"{ERROR} / new_point_error_raw_um"
-    found = results.query(
+    table = results.query(
         f"SELECT error_factor, noise_factor, prior_factor, method, count(*), avg({ratio}), "
         f"1.96 * stddev_samp({ratio}) / sqrt(count(*)), quantile_cont({ratio}, 0.95) FROM rows "
         "GROUP BY ALL ORDER BY ALL"
     )
-    names = ("errors", "noise", "stated_prior", "judged", "trials", "ratio", "half_width_of_interval", "p95")
-    write_table(given.out / "ratios.csv", [dict(zip(names, row, strict=True)) for row in found])
+    names = ("errors", "noise", "declared_prior", "method", "trials", "ratio", "half_width_of_interval", "p95")
+    write_table(given.out / "ratios.csv", [dict(zip(names, row, strict=True)) for row in table])
     return Made(results.manifest.seed, results.manifest.trials)

@@ -1,4 +1,4 @@
-"""Whether 95 % intervals hold, for every construction, order of harmonics and number of instruments."""
+"""Coverage of 95 % intervals for each construction, order of harmonics and number of instruments."""
 
 from typing import Any
 
@@ -39,7 +39,7 @@ def run(given: Options) -> Made:
     write_table(given.out / "intervals.csv", rows)
     ends = [(row["instrument"], LINES[row["trackers"]], AXIS, row["inside"], row["low"], row["high"]) for row in rows]
     figure = sweep_panels_figure(
-        [SweepPoint(*own, 0, 0) for own in ends],
+        [SweepPoint(*values, 0, 0) for values in ends],
         statistic_title="inside 95 % intervals [%]",
         x_title="",
         joins_points=False,
@@ -61,5 +61,5 @@ def row_of(z: Floats, end: SolverComparison) -> Row:
         **{name: round(value, 2) for name, value in (("inside", mean), ("low", mean - half), ("high", mean + half))},
         "parameters_beyond_99_percent_of_chance": int(np.sum((counts < low) | (counts > high))),
         "rms_z": round(float(np.sqrt(np.mean(z**2))), 3),
-        "apart_from_full_solver_sigma": f"{end.largest_difference_sigma or 0:.1e}",
+        "difference_from_full_solver_sigma": f"{end.largest_difference_sigma or 0:.1e}",
     }

@@ -1,4 +1,4 @@
-"""Whom do the acceptance tests let pass? A population of trackers, good and bad, against the errors of their points."""
+"""Pass rates of acceptance tests in a population of trackers, by the errors of their points."""
 
 from itertools import pairwise
 from typing import Any
@@ -25,14 +25,14 @@ def population(config: dict[str, Any], trials: int) -> pd.DataFrame:
         misalignment_construction(),
         points_around_instrument(),
     )
-    stated = limits.to_instrument()
+    declared = limits.to_instrument()
     plans = {
         name: AcceptancePlan(
-            tuple(builtin_tests(name, config["nearest_m"], config["lengths_m"])), built, limits, stated.noise
+            tuple(builtin_tests(name, config["nearest_m"], config["lengths_m"])), built, limits, declared.noise
         )
         for name in config["standards"]
     }
-    prior = np.array([p.prior_sigma_from(stated.prior) for p in built.parameters])
+    prior = np.array([p.prior_sigma_from(declared.prior) for p in built.parameters])
     harm, range_ = point_errors_by_constant(built, points, prior), to_polar(points)[:, 0]
     limit = np.hypot(np.sqrt(2) * limits.transverse_limit(range_), limits.range_limit(range_))
     parts = []
@@ -47,8 +47,8 @@ def population(config: dict[str, Any], trials: int) -> pd.DataFrame:
             noise = rng.standard_normal(errors.shape) * plan.error_sigmas
             columns[name] = plan.is_within_limits(errors + noise).all(axis=1)
         parts.append(pd.DataFrame(columns))
-    found = pd.concat(parts, ignore_index=True).head(trials)
-    return found.assign(both=found[[*plans]].all(axis=1))
+    instruments = pd.concat(parts, ignore_index=True).head(trials)
+    return instruments.assign(both=instruments[[*plans]].all(axis=1))
 
 
 def row_of(words: str, instruments: pd.DataFrame) -> Row:
@@ -64,17 +64,17 @@ def run(given: Options) -> Made:
     """The table is population.csv, the picture population.svg."""
     config = given.config
     trials = given.trials or config["trials"]
-    found = population(config, trials)
+    table = population(config, trials)
     rows = []
     for low, high in pairwise(config["steps"]):
         words = f"to {high:g}" if np.isfinite(high) else f"over {low:g}"
-        rows.append(row_of(words, found[(found.share >= low) & (found.share < high)]))
+        rows.append(row_of(words, table[(table.share >= low) & (table.share < high)]))
     curves = []
     for row in rows:
-        for name in found.columns.drop("share"):
+        for name in table.columns.drop("share"):
             ends = np.clip(row[name] + np.array([0.0, -1.96, 1.96]) * row[f"{name}_uncertainty"], 0, 100)
             curves.append(SweepPoint(row["error_over_limit"], name, "", ends[0], ends[1], ends[2], ends[0], ends[0]))
-    rows += [row_of("all within", found[found.share <= 1]), row_of("all beyond", found[found.share > 1])]
+    rows += [row_of("all within", table[table.share <= 1]), row_of("all beyond", table[table.share > 1])]
     show_table(given.out / "population.csv", rows)
     axis = "largest point error over its limit, in steps"
     write_figure(

@@ -25,7 +25,7 @@ from ltsim.physics.effects.effect import Blunder, NoiseEffect
 from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.model.construction import declared_construction
 
-from .injections import background, injection, placed, unit_of
+from .injections import background, injection, is_located, unit_of
 
 STRENGTHS = np.geomspace(10.0, 3000.0, 16)
 """Expected noncentralities, equally likely: the observer does not know which one was injected."""
@@ -53,7 +53,7 @@ class Instance:
 
     @property
     def key(self) -> tuple[object, ...]:
-        """What the observer has to tell: kind, stations, targets and instruments."""
+        """Identity of the cause that the observer reports: kind, stations, targets and instruments."""
         cause = self.cause
         return self.kind, tuple(cause.stations), tuple(cause.targets), tuple(getattr(cause, "instruments", ()))
 
@@ -67,26 +67,26 @@ class Observer:
 
     @classmethod
     def of(cls, space: ResidualSpace, kinds: Sequence[str], unit: str) -> "Observer":
-        """The observer of a recording, told kinds of causes."""
-        recording, found = space.adjustment.recording, list[Instance]()
+        """Observer of a recording, with a list of the kinds of causes."""
+        recording, instances = space.adjustment.recording, list[Instance]()
         for kind in dict.fromkeys(kinds):
             texts = [kind.format(station=s, unit=unit) for s in recording.stations] if "{station}" in kind else [kind]
             for text in texts:
                 causes = parse_requested_effect(text, recording).candidates(space.adjustment)
-                found += [Instance(kind, cause) for cause in causes]
-        return cls(space, found)
+                instances += [Instance(kind, cause) for cause in causes]
+        return cls(space, instances)
 
     @cached_property
     def _projected(self) -> list[tuple[Floats, Floats]]:
         """Projected signatures (m, k) along the eigenvectors of their Gram matrix, and its eigenvalues (k,)."""
-        found = []
+        signatures = []
         for instance in self.instances:
             rows = self.space.whitened_design(instance.cause) * instance.cause.plausible_sizes
             projected = self.space.project(rows)
             values, vectors = np.linalg.eigh(projected.T @ projected)
             visible = values > NORMAL_EQUATIONS_TOLERANCE * float(np.max(np.sum(rows**2, axis=0), initial=0.0))
-            found.append(((projected @ vectors[:, visible]).astype(np.float32), values[visible]))
-        return found
+            signatures.append(((projected @ vectors[:, visible]).astype(np.float32), values[visible]))
+        return signatures
 
     @cached_property
     def log_prior(self) -> Floats:
@@ -98,18 +98,18 @@ class Observer:
 
     def log_evidence(self, residuals: Floats) -> Floats:
         """Log marginal likelihood ratios (h, r) of the instances against no cause, given residuals (m, r)."""
-        found = np.zeros((len(self.instances), residuals.shape[1]))
-        for one, (rows, values) in zip(found, self._projected, strict=True):
+        log_evidences = np.zeros((len(self.instances), residuals.shape[1]))
+        for log_evidence_row, (rows, values) in zip(log_evidences, self._projected, strict=True):
             if not len(values):
                 continue
             scores = (rows.T @ residuals) ** 2
             gain = STRENGTHS[:, None] / values.sum() * values
             logs = 0.5 * (gain / (1.0 + gain) / values) @ scores - 0.5 * np.log1p(gain).sum(axis=1)[:, None]
-            one[:] = logsumexp(logs, axis=0) - np.log(len(STRENGTHS))
-        return found
+            log_evidence_row[:] = logsumexp(logs, axis=0) - np.log(len(STRENGTHS))
+        return log_evidences
 
     def with_background(self) -> "Observer":
-        """The observer that has found the causes of the list in the recording as it is, and estimates them too."""
+        """Observer that estimates also those causes of its list that the original recording contains."""
         observer = self
         for _ in range(MOST_BACKGROUND):
             opinion = observer.opinion(observer.space.whitened_residuals)
@@ -119,7 +119,7 @@ class Observer:
         return observer
 
     def opinion(self, residual: Floats) -> Instance | None:
-        """Likeliest kind and place given a residual (m,), by its likeliest shape; None where no cause is likelier."""
+        """Most probable kind and place given residuals (m,), in its most probable shape; None without a cause."""
         logs = self.log_evidence(residual[:, None])[:, 0] + self.log_prior
         if logsumexp(logs) < LOG_ODDS_NONE:
             return None
@@ -130,17 +130,21 @@ class Observer:
         return self.instances[max(best, key=lambda member: float(logs[member]))]
 
 
-def asked(network: Row, settings: Row) -> list[Row]:
-    """Placed and named by the observer, of each injection of strength 100 into a network.
+def examined(network: Row, settings: Row) -> list[Row]:
+    """Rows of the injections of strength 100 into a network: located by the observer, located and named.
 
-    With `simulated` residuals; with those of the recording as they are (`own`), where the observer estimates what of
-    the list they hold; and with these and all effects of the catalogue on the list (`catalogue`).
+    With `simulated` residuals; with those of the original recording (`listed`), where the observer estimates the causes
+    on its list; and with these residuals and all effects of the catalogue on the list (`catalogue`).
     """
-    _, weighted, _ = background(network["file"], network.get("clockwise", False), told_noise=False)
+    _, weighted, _ = background(network["file"], network.get("clockwise", False), estimates_noise=False)
     space = ResidualSpace.from_adjustment(adjust(weighted, declared_construction(weighted)))
     kinds, unit = settings["kinds"], unit_of(weighted)
     simulated, catalogue = Observer.of(space, kinds, unit), Observer.of(space, [*CARDS, *kinds], unit)
-    observers = {"simulated": simulated, "own": simulated.with_background(), "catalogue": catalogue.with_background()}
+    observers = {
+        "simulated": simulated,
+        "listed": simulated.with_background(),
+        "catalogue": catalogue.with_background(),
+    }
     rows = []
     for trial, kind in product(range(settings["trials"]), settings["kinds"]):
         row: Row = {"site": network["site"], "file": network["file"], "kind": kind, "trial": trial}
@@ -155,22 +159,22 @@ def asked(network: Row, settings: Row) -> list[Row]:
         for name, observer in observers.items():
             residual = signal + (space.project(noise) if name == "simulated" else space.whitened_residuals)
             opinion = observer.opinion(residual)
-            is_placed = opinion is not None and placed(truth.injected_effects[0].effect, opinion.cause, weighted)
-            row |= {f"{name}_placed": is_placed, f"{name}_named": is_placed and opinion.kind == kind}
+            is_at_place = opinion is not None and is_located(truth.injected_effects[0].effect, opinion.cause, weighted)
+            row |= {f"{name}_located": is_at_place, f"{name}_named": is_at_place and opinion.kind == kind}
         rows.append(row)
     return rows
 
 
 def table_of(rows: Sequence[Row], ltsim: Sequence[Row]) -> list[Row]:
-    """Injections placed, and placed and named, by ltsim and by the observer: all, by network, by kind."""
+    """Numbers of injections located, and located and named, by ltsim and by the observer."""
     of_ltsim = {(r["file"], r["kind"], r["trial"]): r for r in ltsim if not r["hidden"]}
-    found = []
+    table = []
     groups = [(column, name) for column in ("site", "kind") for name in dict.fromkeys(r[column] for r in rows)]
     for column, name in [("all", "all"), *groups]:
-        some = [r for r in rows if column == "all" or r[column] == name]
-        pairs = [of_ltsim[r["file"], r["kind"], r["trial"]] for r in some]
-        counts = {"ltsim_placed": [p["placed"] for p in pairs], "ltsim_named": [p["right"] for p in pairs]}
-        counts |= {c: [r[c] for r in some] for c in rows[0] if c.endswith(("_placed", "_named"))}
-        row: Row = {"by": column, "of": name, "injections": len(some)}
-        found.append(row | {c: sum(map(bool, hits)) for c, hits in counts.items()})
-    return found
+        group = [r for r in rows if column == "all" or r[column] == name]
+        pairs = [of_ltsim[r["file"], r["kind"], r["trial"]] for r in group]
+        counts = {"ltsim_located": [p["located"] for p in pairs], "ltsim_named": [p["reported"] for p in pairs]}
+        counts |= {c: [r[c] for r in group] for c in rows[0] if c.endswith(("_located", "_named"))}
+        row: Row = {"by": column, "of": name, "injections": len(group)}
+        table.append(row | {c: sum(map(bool, hits)) for c, hits in counts.items()})
+    return table

@@ -224,9 +224,11 @@ class Observations:
                                  noise["angle_arcsec"] * ARCSECOND / np.cos(readings[:, 2]),
                                  np.full(len(readings), noise["angle_arcsec"] * ARCSECOND)])  # fmt: skip
         readings = readings + sigma * rng.standard_normal(readings.shape) * noisy
-        known = noisy * 1e-3 * np.array([noise["control_mm"], noise["length_mm"]])
-        control = {int(k): hall.points[k] + known[0] * rng.standard_normal(3) for k in hall.control}
-        length = float(np.linalg.norm(np.subtract(*hall.points[hall.bar])) + known[1] * rng.standard_normal())
+        reference_sigmas = noisy * 1e-3 * np.array([noise["control_mm"], noise["length_mm"]])
+        control = {int(k): hall.points[k] + reference_sigmas[0] * rng.standard_normal(3) for k in hall.control}
+        length = float(
+            np.linalg.norm(np.subtract(*hall.points[hall.bar])) + reference_sigmas[1] * rng.standard_normal()
+        )
         right = cls(hall, readings, sigma, hall.target, control, length)
         return right._with_mistake(cause) if cause else right
 
@@ -261,8 +263,8 @@ class Observations:
 
     def without(self, control: tuple[int, ...]) -> "Observations":
         """The same without some control points."""
-        kept = {k: x for k, x in self.control.items() if k not in control}
-        return replace(self, control=kept)
+        remaining = {k: x for k, x in self.control.items() if k not in control}
+        return replace(self, control=remaining)
 
     def write(self, folder: Path) -> Path:
         """Write `observations.csv` and `setup.toml`, by the format that docs/reference describes."""

@@ -51,8 +51,8 @@ class Network:
         o, s = self.observations, self.observations.hall.station
         gap = o.readings - polar(self.rotation[s], self.position[s], self.points[o.target])
         gap[:, 1] = (gap[:, 1] + np.pi) % (2 * np.pi) - np.pi
-        known, noise = np.array(list(o.control)), o.hall.noise
-        control = (np.array(list(o.control.values())) - self.points[known]) / (1e-3 * noise["control_mm"])
+        control_points, noise = np.array(list(o.control)), o.hall.noise
+        control = (np.array(list(o.control.values())) - self.points[control_points]) / (1e-3 * noise["control_mm"])
         length = o.length - np.linalg.norm(np.subtract(*self.points[o.hall.bar]))
         return np.concatenate([(gap / o.sigma).ravel(), control.ravel(), [length / (1e-3 * noise["length_mm"])]])
 
@@ -75,16 +75,16 @@ class Network:
         for first, block in ((3 * station, -by_point), (3 * (stations + station), by_x @ cross),
                              (6 * stations + 3 * target, by_point)):  # fmt: skip
             rows[at, :, first[:, None] + np.arange(3)] = np.swapaxes(block, 1, 2)
-        known = np.zeros((3 * len(o.control) + 1, width))
+        reference_rows = np.zeros((3 * len(o.control) + 1, width))
         for row, k in enumerate(o.control):
             for axis in range(3):
-                known[3 * row + axis, 6 * stations + 3 * k + axis] = 1.0 / (1e-3 * o.hall.noise["control_mm"])
+                reference_rows[3 * row + axis, 6 * stations + 3 * k + axis] = 1.0 / (1e-3 * o.hall.noise["control_mm"])
         a, b = o.hall.bar
         along = (self.points[a] - self.points[b]) / np.linalg.norm(self.points[a] - self.points[b])
         for k, sign in ((a, 1.0), (b, -1.0)):
             begin = 6 * stations + 3 * k
-            known[-1, begin : begin + 3] = sign * along / (1e-3 * o.hall.noise["length_mm"])
-        return np.concatenate([rows.reshape(3 * n, width), known])
+            reference_rows[-1, begin : begin + 3] = sign * along / (1e-3 * o.hall.noise["length_mm"])
+        return np.concatenate([rows.reshape(3 * n, width), reference_rows])
 
     def moved(self, step: Array) -> "Network":
         """The network after a step of the unknowns (u,)."""

@@ -1,4 +1,4 @@
-"""Does each verb report simple causes, from just visible to absurd, at their place? Beside data snooping and GNU Gama.
+"""First reports of each command for simple causes of all sizes, compared with data snooping and GNU Gama.
 
     python -m experiments 29             # all halls; ten minutes of processor time
     python -m experiments 29 tables      # the tables of the committed rows, in seconds
@@ -20,7 +20,7 @@ import pandas as pd
 
 import ltsim as lt
 from experiments.common import Made, Options, Row, show_table, tell, write_table
-from experiments.intervals import share
+from experiments.intervals import proportion
 from ltsim.adjustment.identification.cause_tests import CauseTest
 from ltsim.core.errors import LtsimError
 from ltsim.core.parallel import run_parallel
@@ -64,14 +64,14 @@ def _coordinates(result: Any, count: int) -> np.ndarray:
     return np.asarray(1e-3 * table.reindex(names)[["x_mm", "y_mm", "z_mm"]].to_numpy(dtype=float))
 
 
-def _where(one: CauseTest | Finding) -> tuple[set[str], set[str]]:
-    return set(one.where.stations), set(one.where.targets)
+def _where(report: CauseTest | Finding) -> tuple[set[str], set[str]]:
+    return set(report.where.stations), set(report.where.targets)
 
 
 def _of_tests(result: Any, place: Place, count: int) -> Report:
-    found = [test for test in result.tests if test.accepted]
-    at = [place.includes(*_where(test)) for test in found]
-    return Report(_coordinates(result, count), at[:1] == [True], not all(at), bool(found))
+    accepted = [test for test in result.tests if test.accepted]
+    at = [place.includes(*_where(test)) for test in accepted]
+    return Report(_coordinates(result, count), at[:1] == [True], not all(at), bool(accepted))
 
 
 def adjust(observations: Observations, recording: Recording, place: Place, folder: Path) -> Report:
@@ -87,8 +87,8 @@ def calibrate(observations: Observations, recording: Recording, place: Place, fo
 def diagnose(observations: Observations, recording: Recording, place: Place, folder: Path) -> Report:
     """`ltsim diagnose`."""
     result = lt.diagnose(recording)
-    found = [f for f in result.findings if f.evidence.probability >= LIKELY or f is result.findings[0]]
-    at = [place.includes(*_where(finding)) for finding in found]
+    reported = [f for f in result.findings if f.evidence.probability >= LIKELY or f is result.findings[0]]
+    at = [place.includes(*_where(finding)) for finding in reported]
     points = _coordinates(result, len(observations.hall.points))
     return Report(points, at[:1] == [True], not all(at), bool(result.findings))
 
@@ -130,8 +130,8 @@ ENTRANTS: Mapping[str, Entrant] = {f.__name__: f for f in (check, adjust, calibr
 
 def error(points: np.ndarray, hall: Hall, lost: Sequence[int]) -> float:
     """Root mean square of the coordinate errors [m], in the frame of the control points."""
-    kept = np.setdiff1d(np.arange(len(points)), lost)
-    return float(np.sqrt(np.mean(np.sum((points[kept] - hall.points[kept]) ** 2, axis=1))))
+    rows = np.setdiff1d(np.arange(len(points)), lost)
+    return float(np.sqrt(np.mean(np.sum((points[rows] - hall.points[rows]) ** 2, axis=1))))
 
 
 def verdict(name: str, report: Report, cause: Cause | None, is_good: bool) -> str:
@@ -151,7 +151,7 @@ def verdict(name: str, report: Report, cause: Cause | None, is_good: bool) -> st
     return f"{RIGHT}: place" if report.names_place else f"{RIGHT}: coordinates" if is_good else "place, coordinates"
 
 
-def asked(name: str, observations: Observations, cause: Cause | None, folder: Path) -> tuple[str, Report | None]:
+def answer(name: str, observations: Observations, cause: Cause | None, folder: Path) -> tuple[str, Report | None]:
     """Report of an entrant on observations; none, with the reason, where it broke down."""
     hall, start = observations.hall, time.process_time()
     place = hall.place(cause) if cause else Place()
@@ -176,7 +176,7 @@ def rungs(hall: Hall, causes: Sequence[Cause | None], number: int, names: Sequen
         for cause in causes:
             lost, row = hall.lost(cause) if cause else (), Row()
             for name in names:
-                problem, report = asked(name, Observations.of(hall, cause, number), cause, Path(folder) / "rung")
+                problem, report = answer(name, Observations.of(hall, cause, number), cause, Path(folder) / "rung")
                 if report is None or problem:
                     row[name] = problem
                     continue
@@ -193,7 +193,7 @@ def rungs(hall: Hall, causes: Sequence[Cause | None], number: int, names: Sequen
 def possible(name: str, hall: Hall, number: int, lost: Sequence[int], folder: Path) -> float:
     """Coordinate error [m] of an entrant without a cause, and without the control points that are lost; else 0."""
     clean = Observations.of(hall, None, number).without(tuple(set(lost) & set(hall.control.tolist())))
-    _, report = asked(name, clean, None, folder)
+    _, report = answer(name, clean, None, folder)
     return 0.0 if report is None or report.points is None else error(report.points, hall, lost)
 
 
@@ -207,8 +207,8 @@ def rungs_of(hall: Hall, settings: Mapping[str, Any]) -> Iterator[tuple[Row, Cau
         sizes, unit = list(entry.get("sizes", [1.0])), entry.get("unit", "")
         if unit:
             change = Observations.of(hall, Cause(entry["name"], SMALL, station, target), noisy=False)
-            one = SMALL / np.sqrt(peers.noncentrality(hall, change)) / UNITS[unit]
-            sizes.insert(0, float(f"{one * np.sqrt(settings['noncentrality']):.3g}"))
+            report = SMALL / np.sqrt(peers.noncentrality(hall, change)) / UNITS[unit]
+            sizes.insert(0, float(f"{report * np.sqrt(settings['noncentrality']):.3g}"))
         for step, size in enumerate(sizes, start=1):
             cause = Cause(entry["name"], size * UNITS[unit], station, target)
             place = hall.place(cause)
@@ -220,21 +220,23 @@ def rungs_of(hall: Hall, settings: Mapping[str, Any]) -> Iterator[tuple[Row, Cau
 
 def table_of(rows: Sequence[Row]) -> list[Row]:
     """Share of rungs right of each entrant: all, by hall, by where the cause acts, by rung."""
-    found, names = list[Row](), [name for name in ENTRANTS if name in rows[0]]
+    table, names = list[Row](), [name for name in ENTRANTS if name in rows[0]]
     groups = [
         (column, value) for column in ("hall", "acts_at", "cause") for value in dict.fromkeys(r[column] for r in rows)
     ]
     for column, value in [("all", "all"), *groups]:
-        some = [r for r in rows if column == "all" or r[column] == value]
-        row = {"by": column, "of": value, "rungs": len(some)}
-        row |= {name: sum(r[name].startswith(RIGHT) for r in some) for name in names}
-        row |= {f"{name}_both": sum(r[name] == RIGHT for r in some) for name in names if name != "check"}
+        group = [r for r in rows if column == "all" or r[column] == value]
+        row = {"by": column, "of": value, "rungs": len(group)}
+        row |= {name: sum(r[name].startswith(RIGHT) for r in group) for name in names}
+        row |= {f"{name}_both": sum(r[name] == RIGHT for r in group) for name in names if name != "check"}
         if column == "all":
             for name in names:
-                part = share([r[name].startswith(RIGHT) for r in some], [f"{r['hall']} {r['cause']}" for r in some])
+                part = proportion(
+                    [r[name].startswith(RIGHT) for r in group], [f"{r['hall']} {r['cause']}" for r in group]
+                )
                 row |= {f"{name}_low": round(part["low"], 3), f"{name}_high": round(part["high"], 3)}
-        found.append(row)
-    return found
+        table.append(row)
+    return table
 
 
 def run(given: Options) -> Made:
@@ -243,7 +245,7 @@ def run(given: Options) -> Made:
         names = [name for name in ENTRANTS if name != "gama" or peers.is_installed()]
         if "gama" not in names:
             tell(f"gama: left out, {peers.GAMA} is not on the PATH")
-        halls = [Hall.of(own, settings["noise"], settings["seed"] + k) for k, own in enumerate(settings["hall"])]
+        halls = [Hall.of(entry, settings["noise"], settings["seed"] + k) for k, entry in enumerate(settings["hall"])]
         entries = [(hall, *each) for hall in halls for each in rungs_of(hall, settings)]
         if given.trials is not None:
             entries = [entry for entry in entries if entry[1].get("rung", 1) <= given.trials]

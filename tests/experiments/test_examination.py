@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from experiments.intervals import share
+from experiments.intervals import proportion
 from ltsim.adjustment import adjust
 from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.effects import CATALOGUE
@@ -37,14 +37,14 @@ catalogued = { 200 = 1 }
 
 
 def test_who_answered_the_same_truth_before_stays_beside_the_new_one(tmp_path: Path) -> None:
-    row = {"name": "R1", "kind": "clean", "hall": "hall", "law": "", "strength": 0, "told_um": 1.0, "plain_um": 1.0,
-           "seconds": 1.0, "answered": True, "p_value": 0.5, "stated": []}  # fmt: skip
+    row = {"name": "R1", "kind": "clean", "hall": "hall", "law": "", "strength": 0, "given_law_um": 1.0,
+           "plain_um": 1.0, "seconds": 1.0, "answered": True, "p_value": 0.5, "probabilities": []}  # fmt: skip
     head = {"plan": "plan", "sha256": "0", "recordings": 1, "draws_excluded": 0}
-    report.write_report({"one": [row | {"found": True}]}, tmp_path, head)
-    report.write_report({"two": [row | {"found": False}]}, tmp_path, head)
+    report.write_report({"one": [row | {"detected": True}]}, tmp_path, head)
+    report.write_report({"two": [row | {"detected": False}]}, tmp_path, head)
     answers = json.loads((tmp_path / "scores.json").read_text())["entrants"]
-    assert [answers[who]["false alarms, hall"]["right"] for who in ("one", "two")] == [1, 0]
-    assert [r["found"] for own in report.read_rows(tmp_path / report.ROWS).values() for r in own] == [True, False]
+    assert [answers[who]["false alarms, hall"]["count"] for who in ("one", "two")] == [1, 0]
+    assert [r["detected"] for own in report.read_rows(tmp_path / report.ROWS).values() for r in own] == [True, False]
     report.write_report({"three": [row]}, tmp_path, head | {"sha256": "1"})
     assert list(json.loads((tmp_path / "scores.json").read_text())["entrants"]) == ["three"]
     assert list(report.read_rows(tmp_path / report.ROWS)) == ["three"]
@@ -100,8 +100,8 @@ def test_a_third_party_makes_answers_and_scores_without_ltsim(root: Path, tmp_pa
         assert done.returncode == 0, done.stderr
     scores = json.loads((tmp_path / "scores" / "scores.json").read_text())
     mine = scores["entrants"]["mine"]
-    assert mine["false alarms, hall"]["right"] == 0
-    assert (mine["catalogued hall 200: found"]["right"], mine["catalogued hall 200: found"]["of"]) == (0, 12)
+    assert mine["false alarms, hall"]["count"] == 0
+    assert (mine["catalogued hall 200: detected"]["count"], mine["catalogued hall 200: detected"]["total"]) == (0, 12)
     assert "| catalogued hall 200: found | 0 of 12 " in (tmp_path / "scores" / "table.md").read_text()
 
 
@@ -261,10 +261,10 @@ def test_a_motion_is_right_as_itself_or_by_its_observables() -> None:
 
 def test_intervals_are_wider_where_recordings_of_a_law_are_alike() -> None:
     hits, alone = [True] * 15 + [False] * 15, [str(k) for k in range(30)]
-    independent, alike = share(hits, alone), share(hits, [str(k // 5) for k in range(30)])
-    assert alike["design_effect"] == pytest.approx(5.0) and independent["design_effect"] == 1.0
-    assert alike["high"] - alike["low"] > 1.8 * (independent["high"] - independent["low"])
-    assert share([True] * 30, alone)["low"] > share([True] * 30, ["a", "b", "c"] * 10)["low"]
+    independent, clustered = proportion(hits, alone), proportion(hits, [str(k // 5) for k in range(30)])
+    assert clustered["design_effect"] == pytest.approx(5.0) and independent["design_effect"] == 1.0
+    assert clustered["high"] - clustered["low"] > 1.8 * (independent["high"] - independent["low"])
+    assert proportion([True] * 30, alone)["low"] > proportion([True] * 30, ["a", "b", "c"] * 10)["low"]
 
 
 def test_intervals_hold_what_they_say() -> None:
@@ -272,6 +272,6 @@ def test_intervals_hold_what_they_say() -> None:
     rng, held = np.random.default_rng(4), 0
     for _ in range(400):
         own = np.repeat(rng.beta(2.0, 1.0, 40), 4)
-        part = share((rng.random(160) < own).tolist(), [str(k // 4) for k in range(160)])
+        part = proportion((rng.random(160) < own).tolist(), [str(k // 4) for k in range(160)])
         held += part["low"] <= 2 / 3 <= part["high"]
     assert 0.92 <= held / 400 <= 0.985

@@ -31,7 +31,7 @@ def elevation_drift(network: Any) -> Any:
 def test_share_of_a_shift_is_one_less_the_square_of_what_is_missing(network: Any, size: float, share: float) -> None:
     truth = elevation_drift(network)
     model = replace(measure.Model.nothing(network), change=size * truth.reading)
-    assert model.share(network, truth) == pytest.approx(share, abs=1e-4)
+    assert model.explained_fraction(network, truth) == pytest.approx(share, abs=1e-4)
 
 
 def test_what_the_unknowns_absorb_needs_no_model(network: Any) -> None:
@@ -48,16 +48,16 @@ def test_share_of_noise(network: Any) -> None:
     truth = tracker.Change(variance=np.tile([0.0, 2.0, 0.0], (network.hall.n, 1)))
     nothing = measure.Model.nothing(network)
     perfect = replace(nothing, variance=1.0 + truth.variance)
-    assert perfect.share(network, truth) == pytest.approx(1.0)
-    assert nothing.share(network, truth) == pytest.approx(0.0)
+    assert perfect.explained_fraction(network, truth) == pytest.approx(1.0)
+    assert nothing.explained_fraction(network, truth) == pytest.approx(0.0)
     assert perfect.observables(network, 0.1, noise=True) == {"azimuth"}
-    assert 0.0 < replace(nothing, variance=np.sqrt(perfect.variance)).share(network, truth) < 1.0
+    assert 0.0 < replace(nothing, variance=np.sqrt(perfect.variance)).explained_fraction(network, truth) < 1.0
 
 
 def test_share_of_wrong_lengths(network: Any) -> None:
     truth = tracker.Change(lengths=np.array([2e-5, -2e-5]))
     model = replace(measure.Model.nothing(network), lengths=0.5 * truth.lengths)
-    assert model.share(network, truth) == pytest.approx(0.75)
+    assert model.explained_fraction(network, truth) == pytest.approx(0.75)
 
 
 def test_a_model_is_read_as_it_was_written(network: Any, tmp_path: Path) -> None:
@@ -80,4 +80,4 @@ def test_the_ideal_observer_finds_an_easy_law(network: Any, monkeypatch: pytest.
     opinion = ideal.observe(network, noise + network.signature(truth.scaled(size)), laws, np.random.default_rng(2))
     assert opinion.law == "index-drift" and opinion.p_value == 0.01 and opinion.probability > 0.9
     change = opinion.change[: network.base.size].reshape(-1, 3) * network.hall.sigma
-    assert replace(measure.Model.nothing(network), change=change).share(network, truth.scaled(size)) > 0.95
+    assert replace(measure.Model.nothing(network), change=change).explained_fraction(network, truth.scaled(size)) > 0.95

@@ -59,7 +59,7 @@ def test_results_are_small(history: Path) -> None:
 def test_committed_results_are_refused_where_sources_are_not_committed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(common, "changes", lambda: " M ltsim/core/units.py")
     with pytest.raises(SystemExit, match=r"units\.py.*--out"):
-        driver.run_one("07", [], 2, 1, None)
+        driver.run_experiment("07", [], 2, 1, None)
     with pytest.raises(SystemExit, match="--out"):
         driver.run_all(common.RESULTS, 1)
     common.refuse_changes(Path("/elsewhere/results"))

@@ -132,7 +132,7 @@ def backlash(h: Hall, rng: Draw) -> Cause:
     """What a circle reads depends on the side it came from; on one face, for half a turn has no shorter way round."""
     if h.back.any():
         raise LookupError("two faces")
-    parts = tuple(_correction(h, axis, -0.5 * _side(h, h.seen[:, axis])) for axis in (1, 2))
+    parts = tuple(_correction(h, axis, -0.5 * _side(h, h.local_points[:, axis])) for axis in (1, 2))
     return _cause(parts, "backlash-azimuth backlash-elevation", "urad", 6.0 * rng.standard_normal(2))
 
 

@@ -25,7 +25,7 @@ def one_leg_stands_on_a_soft_tile(h: Hall, rng: Draw) -> Change:
     leg = rng.uniform(-np.pi, np.pi)
     over = np.maximum(np.cos(_forward(h) - leg), 0.0) ** 2
     way = np.array([np.cos(leg), np.sin(leg), 0.0])
-    return leans(h, h.one_station(rng) * over, np.cross(UP, way))
+    return leans(h, h.random_station(rng) * over, np.cross(UP, way))
 
 
 @law("temperature", may="time")
@@ -58,7 +58,7 @@ def a_hanging_platform_sways_after_the_climb(h: Hall, rng: Draw) -> Change:
     """
     phase = 2 * np.pi * (h.since_setup / rng.uniform(90.0, 240.0) + rng.random())
     sway = np.cos(phase) * np.exp(-h.since_setup / rng.uniform(250.0, 700.0))
-    return leans(h, h.one_station(rng) * sway, level(rng))
+    return leans(h, h.random_station(rng) * sway, level(rng))
 
 
 @law("time")
@@ -69,4 +69,4 @@ def a_lift_table_leaks_and_is_pumped_up_again(h: Hall, rng: Draw) -> Change:
     """
     every = rng.uniform(300.0, 900.0)
     sunk = np.mod(h.time + rng.uniform(0.0, every), every) / every
-    return shifts(h, -h.one_tracker(rng) * sunk, UP)
+    return shifts(h, -h.random_tracker(rng) * sunk, UP)

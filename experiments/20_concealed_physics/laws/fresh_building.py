@@ -35,7 +35,7 @@ def the_ventilation_sucks_at_the_wall(h: Hall, rng: Draw) -> Change:
 def a_lorry_stands_on_one_slab_during_one_set_up(h: Hall, rng: Draw) -> Change:
     """During one set-up a lorry stands on the slab beyond a joint, and the floor targets there lie lower."""
     slab = h.aim[:, 0] > rng.uniform(0.4, 0.6) * h.size.room[0]
-    return moves(h, h.one_station(rng) * h.group("floor") * slab, -UP)
+    return moves(h, h.random_station(rng) * h.group("floor") * slab, -UP)
 
 
 @law("time", may="place")

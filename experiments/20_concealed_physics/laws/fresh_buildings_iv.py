@@ -42,7 +42,7 @@ def hollow_floor_panel_under_the_operator(h: Hall, rng: Draw) -> Change:
     """The operator follows the beam around one station, and on one side steps on a hollow panel that tips it."""
     away = h.aim - h.stand
     side = np.cos(np.arctan2(away[:, 1], away[:, 0]) - rng.uniform(-np.pi, np.pi))
-    return leans(h, h.one_station(rng) * (side > rng.uniform(0.1, 0.6)), level(rng))
+    return leans(h, h.random_station(rng) * (side > rng.uniform(0.1, 0.6)), level(rng))
 
 
 @law("time", "place|height|elevation")

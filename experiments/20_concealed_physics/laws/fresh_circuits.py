@@ -40,6 +40,6 @@ def a_welder_disturbs_the_phase_meter(h: Hall, rng: Draw) -> Change:
 @law("time", may="place distance")
 def the_oscillator_sags_on_an_empty_battery(h: Hall, rng: Draw) -> Change:
     """One station is measured on battery; its voltage falls ever faster, and the modulation frequency with it."""
-    here = h.one_station(rng)
+    here = h.random_station(rng)
     spent = h.since_setup / h.since_setup[here > 0].max()
     return varies(h, "range-scale", here * spent ** rng.uniform(1.5, 3.0))

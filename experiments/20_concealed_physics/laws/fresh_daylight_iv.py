@@ -44,5 +44,5 @@ def squall_line_lifts_the_pressure(h: Hall, rng: Draw) -> Change:
 @law("time")
 def compressor_blows_on_one_leg(h: Hall, rng: Draw) -> Change:
     """The compressor's exhaust blows on a leg of one stand while it runs, which leans and grows with a lag."""
-    grown = h.one_station(rng) * h.lagging(h.windows(rng), rng.uniform(100.0, 500.0))
+    grown = h.random_station(rng) * h.lagging(h.windows(rng), rng.uniform(100.0, 500.0))
     return leans(h, grown, level(rng)) + shifts(h, rng.uniform(0.3, 0.8) * grown, UP)

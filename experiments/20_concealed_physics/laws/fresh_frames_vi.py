@@ -40,4 +40,4 @@ def an_air_spring_leaks_and_refills(h: Hall, rng: Draw) -> Change:
 @law("press_load_kn")
 def a_rocking_slab_tips_one_stand(h: Hall, rng: Draw) -> Change:
     """One stand is on a loose slab that tips onto its other corner whenever the press pushes hard enough."""
-    return leans(h, h.one_station(rng) * (h.load > rng.uniform(0.3, 0.7)), level(rng))
+    return leans(h, h.random_station(rng) * (h.load > rng.uniform(0.3, 0.7)), level(rng))

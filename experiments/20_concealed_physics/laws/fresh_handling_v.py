@@ -50,5 +50,5 @@ def fingerprints_gather_until_the_mirrors_are_wiped(h: Hall, rng: Draw) -> Chang
 def an_unlocked_column_ratchets_round(h: Hall, rng: Draw) -> Change:
     """The column of one stand was not locked; wide turns of the head one way drag it round, those back slip."""
     wide, way = rng.uniform(0.3, 1.2), rng.choice([-1.0, 1.0])
-    here = h.one_station(rng)
+    here = h.random_station(rng)
     return leans(h, here * np.cumsum(here * np.maximum(way * h.swing - wide, 0.0)), way * UP)

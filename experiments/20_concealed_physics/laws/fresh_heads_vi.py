@@ -30,7 +30,7 @@ def a_loose_lens_is_thrown_aside(h: Hall, rng: Draw) -> Change:
 @law("approach|time")
 def hot_motors_bend_one_head(h: Hall, rng: Draw) -> Change:
     """The motor of one tracker heats up by the turning it has done lately, and bends the scope's holder sideways."""
-    mine = h.one_tracker(rng)
+    mine = h.random_tracker(rng)
     return varies(h, "beam-tilt", mine * h.fading(mine * np.abs(h.swing), rng.uniform(600.0, 1500.0)))
 
 

@@ -12,7 +12,7 @@ def the_certificate_was_made_with_other_balls(h: Hall, rng: Draw) -> Change:
 @law(may="place elevation azimuth", signals=3)
 def an_old_compensation_file_was_loaded_at_one_station(h: Hall, rng: Draw) -> Change:
     """For one station the program took the compensation of another day, with other collimation, tilt and index."""
-    here, size = h.one_station(rng), rng.standard_normal(3)
+    here, size = h.random_station(rng), rng.standard_normal(3)
     names = ("beam-tilt", "transit-tilt", "vertical-index")
     first, second, third = (varies(h, name, v * here) for name, v in zip(names, size.tolist(), strict=True))
     return first + second + third
@@ -44,4 +44,4 @@ def the_late_shift_presses_the_ball_less(h: Hall, rng: Draw) -> Change:
 @law(may="place time")
 def the_operator_leans_on_the_bench_at_one_station(h: Hall, rng: Draw) -> Change:
     """At one station the operator has to lean over the table to reach the nests, and pushes it aside as he does."""
-    return moves(h, h.one_station(rng) * h.group("table"), level(rng))
+    return moves(h, h.random_station(rng) * h.group("table"), level(rng))

@@ -32,7 +32,7 @@ def a_loose_lens_rolls_over_in_its_cell(h: Hall, rng: Draw) -> Change:
 @law("time")
 def the_cold_window_is_misted_at_one_station(h: Hall, rng: Draw) -> Change:
     """The tracker came in from the yard; the mist on its window spoils every reading until it has dried off."""
-    mist = h.one_station(rng) * np.exp(-h.since_setup / rng.uniform(200.0, 700.0))
+    mist = h.random_station(rng) * np.exp(-h.since_setup / rng.uniform(200.0, 700.0))
     return scatters(h, "distance azimuth elevation", mist)
 
 

@@ -6,7 +6,7 @@ from ..law import UP, Change, Draw, Hall, law, leans, level, moves, np, shifts
 @law("press_load_kn")
 def a_felt_pad_gives_above_a_load(h: Hall, rng: Draw) -> Change:
     """The feet of one stand rest on felt beside the press: it holds up to some load, and gives in proportion beyond."""
-    return shifts(h, -h.one_station(rng) * np.clip(h.load - rng.uniform(0.3, 0.5), 0.0, 1.0), UP)
+    return shifts(h, -h.random_station(rng) * np.clip(h.load - rng.uniform(0.3, 0.5), 0.0, 1.0), UP)
 
 
 @law("azimuth|place", may="azimuth place")

@@ -20,7 +20,7 @@ def a_colleague_seats_the_second_round(h: Hall, rng: Draw) -> Change:
 @law("elevation|height", may="place distance")
 def kneeling_on_the_foot_of_the_stand(h: Hall, rng: Draw) -> Change:
     """Somebody kneels on one stand's foot to follow the beam down; it tips and sinks the lower the beam goes."""
-    down = h.one_station(rng) * np.clip(-h.elevation - rng.uniform(0.0, 0.15), 0.0, None)
+    down = h.random_station(rng) * np.clip(-h.elevation - rng.uniform(0.0, 0.15), 0.0, None)
     return leans(h, down, level(rng)) + shifts(h, rng.uniform(0.2, 0.6) * down, -UP)
 
 
@@ -41,4 +41,4 @@ def table_nests_swivel_about_a_wrong_pivot(h: Hall, rng: Draw) -> Change:
 @law()
 def carried_by_the_yoke_to_one_station(h: Hall, rng: Draw) -> Change:
     """Carried by its yoke to one station, the tracker keeps a bent transit axis until the next way eases it."""
-    return varies(h, "transit-tilt", h.one_station(rng))
+    return varies(h, "transit-tilt", h.random_station(rng))

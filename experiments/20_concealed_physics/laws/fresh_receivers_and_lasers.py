@@ -8,7 +8,7 @@ def an_oven_of_the_reference_hunts(h: Hall, rng: Draw) -> Change:
     """The thermostat of one tracker's frequency reference lets it cool slowly and heats it at once, over and over."""
     period = rng.uniform(1500.0, 3600.0)
     saw = np.mod(h.time / period + rng.random(), 1.0) - 0.5
-    return varies(h, "range-scale", h.one_tracker(rng) * saw)
+    return varies(h, "range-scale", h.random_tracker(rng) * saw)
 
 
 @law("distance", "incidence")

@@ -21,7 +21,7 @@ def air_temperature_is_polled_too_seldom(h: Hall, rng: Draw) -> Change:
 def one_controller_has_a_coarse_index_table(h: Hall, rng: Draw) -> Change:
     """One of two controllers takes the nearest entry of the table of its index by azimuth, and does not interpolate."""
     step = 2 * np.pi / rng.integers(8, 17)
-    return varies(h, "vertical-index", h.one_tracker(rng) * (np.mod(h.circle / step + rng.random(), 1.0) - 0.5))
+    return varies(h, "vertical-index", h.random_tracker(rng) * (np.mod(h.circle / step + rng.random(), 1.0) - 0.5))
 
 
 @law("time")

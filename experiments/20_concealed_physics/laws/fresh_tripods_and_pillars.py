@@ -22,7 +22,7 @@ def legs_carry_the_head_in_three_directions(h: Hall, rng: Draw) -> Change:
 def a_floor_panel_tips_under_the_operator(h: Hall, rng: Draw) -> Change:
     """One stand is on a raised floor; when the operator holds near reflectors he steps on its panel and tips it."""
     near = h.distance < rng.uniform(2.6, 4.0)
-    return leans(h, h.one_station(rng) * near, level(rng))
+    return leans(h, h.random_station(rng) * near, level(rng))
 
 
 @law("time")
