@@ -187,9 +187,7 @@ RUNGS = [
     pytest.param(scale_at_all_stations, 3e-3, id="scale_at_all_stations", marks=pytest.mark.long),
     pytest.param(exchanged_names, 0.0, id="exchanged_names", marks=pytest.mark.long),
     pytest.param(exchanged_reference_points, 0.0, id="exchanged_reference_points"),
-    pytest.param(
-        changing_constant("elevation", is_drift=True), 3e-4, id="drift_of_elevation", marks=pytest.mark.long
-    ),
+    pytest.param(changing_constant("elevation", is_drift=True), 3e-4, id="drift_of_elevation", marks=pytest.mark.long),
     *(
         pytest.param(
             changing_constant(observable, is_drift=is_drift),
