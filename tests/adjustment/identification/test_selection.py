@@ -138,7 +138,7 @@ def test_a_stand_that_settles_is_one_cause(size: float) -> None:
     assert test.estimate == pytest.approx(25.0 * size, rel=0.3 if size < 10.0 else 0.05)
 
 
-@pytest.mark.parametrize("share", [2e-4, *family([0.1, 2e-5])])
+@pytest.mark.parametrize("share", family([2e-4, 0.1, 2e-5]))
 def test_a_scale_error_of_all_distances_is_no_error_of_control_points(share: float) -> None:
     recording, _ = hall()
     readings = recording.readings.copy()
