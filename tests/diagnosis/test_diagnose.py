@@ -136,6 +136,7 @@ def test_what_the_last_move_left_behind_is_no_noise():
     assert "|move-azimuth|" in first.formula
 
 
+@pytest.mark.long
 def test_neighbours_that_move_together_are_found_together():
     recording, state = workshop(13)
     sightings = sightings_at_state(recording, state)
@@ -266,6 +267,7 @@ def test_overwhelming_evidence_states_more_than_99_percent():
     assert first.evidence.probability > 0.99
 
 
+@pytest.mark.long
 def test_a_constant_beyond_its_prior_is_told_as_that_and_not_as_physics():
     values = drawn(misalignment_construction(), 1)
     values[misalignment_construction().parameter_names.index("range-offset")] = 60e-6
@@ -277,6 +279,7 @@ def test_a_constant_beyond_its_prior_is_told_as_that_and_not_as_physics():
     assert "zero with a standard deviation of 10 um" in first.sentence
 
 
+@pytest.mark.long
 def test_a_noisy_station_is_noise_and_not_a_shift():
     recording, _ = workshop(7, repeats=1)
     extra = random_stream(7, "more").standard_normal(recording.readings.shape) * recording.reading_sigmas()
