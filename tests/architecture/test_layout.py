@@ -9,7 +9,6 @@ import pkgutil
 import re
 import subprocess
 import tomllib
-from functools import cache
 from pathlib import Path
 
 import pytest
@@ -17,6 +16,7 @@ import pytest
 import ltsim
 from ltsim import effects
 from ltsim.physics.effects.effect import Effect
+from tests.architecture.syntax import tree_of
 
 PACKAGE = Path(ltsim.__file__).parent
 MODULES = sorted(PACKAGE.rglob("*.py"))
@@ -26,12 +26,6 @@ CONTRACT = {"__init__", "effect"}
 
 def named(path: Path) -> str:
     return path.relative_to(PACKAGE.parent).as_posix()
-
-
-@cache
-def tree_of(path: Path) -> ast.Module:
-    """Syntax tree of a module, parsed once for all tests."""
-    return ast.parse(path.read_text(encoding="utf-8"))
 
 
 def effects_in(module: str) -> list[type[Effect]]:
