@@ -228,7 +228,8 @@ def _weighted_alignment(
     rotation = (u * reflection_signs[..., None, :]) @ vt
     scale = np.ones(moment.shape[:-2])
     if estimates_scale:
-        scale = np.sum(spread * reflection_signs, axis=-1) / np.sum(weight[..., None] * centred_points**2, axis=(-2, -1))
+        extent = np.sum(weight[..., None] * centred_points**2, axis=(-2, -1))
+        scale = np.sum(spread * reflection_signs, axis=-1) / extent
     shift = goal_centre - scale[..., None] * np.einsum("...ij,...j->...i", rotation, centre)
     return rotation, shift, scale, np.asarray(spread[..., 1] > 1e-9 * spread[..., 0])
 
@@ -248,7 +249,7 @@ def align_robustly(points: Floats, goal_points: Floats) -> tuple[Floats, Floats]
 
 
 def align_sets_robustly(points: Floats, goal_points: Floats) -> tuple[Floats, Floats, Bools]:
-    """Rotations (b, 3, 3), shifts (b, 3) [m] that move b sets of points onto their goals; flags (b,) of determined ones.
+    """Rotations (b, 3, 3), shifts (b, 3) [m] that move b sets of points onto their goals, and flags (b,) of success.
 
     Each alignment minimises the sum of the distances between moved points and goals by iterative reweighting. With
     outliers this sum has several local minima. Reweighting therefore starts at the best of several alignments, by least
@@ -257,7 +258,7 @@ def align_sets_robustly(points: Floats, goal_points: Floats) -> tuple[Floats, Fl
     Parameters
     ----------
     points, goal_points : (b, n, 3) float, [m]
-        The n points of each set, at least four, and their goals. Points on one line determine no alignment.
+        The n points of each set, at least four, and their goals. The flag of a set on one line is False.
     """
     size = points.shape[1]
     rotation, shift, _, is_determined = _weighted_alignment(points, goal_points, np.ones(size))
