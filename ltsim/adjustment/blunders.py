@@ -11,15 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.frame import StationTargetPairs, alignment_distances
+from ltsim.adjustment.frame import StationTargetPairs
 from ltsim.adjustment.reference_tests import MAX_HORIZONTAL_TO_VERTICAL_RATIO
 from ltsim.adjustment.significance import MAX_TRACKER_ERROR
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.core.errors import NetworkError
 from ltsim.core.notation import MAX_LISTED_ITEMS
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.polar import from_polar
-from ltsim.geometry.rigid import MIN_POINTS_FOR_POSE, align_robustly
+from ltsim.geometry.rigid import MIN_POINTS_FOR_POSE, align_sets_robustly
 from ltsim.physics.effects.face_confusion import FaceConfusion
 from ltsim.physics.effects.motions import reading_change_by_displacement
 from ltsim.physics.effects.wrong_unit import WrongUnit
@@ -317,16 +316,21 @@ def _cloud_misfits(recording: Recording, stations: Collection[int] | None = None
     np.put_along_axis(
         is_pair, neighbours, np.take_along_axis(n_shared, neighbours, axis=1) > MIN_POINTS_FOR_POSE, axis=1
     )
+    common: dict[int, list[tuple[int, int, Floats, Floats]]] = {}
     for a, b in np.argwhere(np.triu(is_pair | is_pair.T)).tolist():
         if not (stations is None or a in stations or b in stations):
             continue
         of_a, of_b = pairs.pair_slice_of_station(a), pairs.pair_slice_of_station(b)
         _, in_a, in_b = np.intersect1d(pairs.target_indices[of_a], pairs.target_indices[of_b], return_indices=True)
-        there, here = pairs.local_points[of_a][in_a], pairs.local_points[of_b][in_b]
-        try:
-            gaps[a, b] = gaps[b, a] = float(np.median(alignment_distances(here, there, align_robustly(here, there))))
-        except NetworkError:
-            continue
+        points = pairs.local_points[of_b][in_b], pairs.local_points[of_a][in_a]
+        common.setdefault(len(in_a), []).append((a, b, *points))
+    for group in common.values():  # pairs with equal numbers of common points are aligned together
+        first, second = np.array([(a, b) for a, b, *_ in group]).T
+        here, there = (np.stack([pair[k] for pair in group]) for k in (2, 3))
+        rotation, shift, is_determined = align_sets_robustly(here, there)
+        moved = here @ np.swapaxes(rotation, 1, 2) + shift[:, None]
+        misfits = np.where(is_determined, np.median(np.linalg.norm(moved - there, axis=2), axis=1), np.nan)
+        gaps[first, second] = gaps[second, first] = misfits
     is_compared = np.isfinite(gaps).any(axis=1)
     median_misfits = np.zeros(count)
     median_misfits[is_compared] = np.nanmedian(gaps[is_compared], axis=1)

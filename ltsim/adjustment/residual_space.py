@@ -118,8 +118,7 @@ class ResidualSpace:
         """
         place, weight = self._used_reading_weights
         readings = effect.design(self.sightings).reshape(-1, len(effect.parameters))
-        nonzero = np.flatnonzero(readings) // readings.shape[1]
-        changed = nonzero[np.diff(nonzero, prepend=-1) > 0]
+        changed = np.flatnonzero(np.logical_or.reduce([column != 0.0 for column in readings.T]))
         rows = self._equation_of_reading[changed]
         changed, rows = changed[rows >= 0], rows[rows >= 0]
         lengths = self.adjustment.problem.gauge_rows.decorrelate(self._gauge_design(effect))

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.optimize import Bounds, LinearConstraint, milp
 
 from ltsim.core.arrays import Bools, Floats, Ints
 
@@ -99,6 +98,8 @@ class StationPlacement:
 
         The positions are the solution of a mixed-integer linear program; random costs make it different in each draw.
         """
+        from scipy.optimize import Bounds, LinearConstraint, milp  # slow to load, and only a search of layouts needs it
+
         places, targets = self.is_visible.shape
         gap = np.linalg.norm(self.candidate_positions[:, None, :2] - self.fixed_positions[None, :, :2], axis=2)
         free = (gap >= self.min_spacing).all(axis=1)

@@ -35,6 +35,7 @@ from ltsim.solve.design import (
     scale_columns,
     scale_to_unit_diagonal,
 )
+from ltsim.solve.row_groups import dense_row_groups
 from ltsim.solve.threads import single_threaded
 
 
@@ -168,20 +169,19 @@ class SparseElimination:
             sp.csr_array(self._elimination_coefficients.T),
         )
         front = scale_columns(sp.csr_array(self._design[order][:, : self._n_retained]), self.column_scales)
-        for g, (low, high) in enumerate(pairwise(edges.tolist())):
-            mine = order[low:high]
+        block_edges = 3 * np.minimum(np.arange(len(edges)), len(blocks))
+        groups = dense_row_groups([front, carries], [edges, block_edges])
+        for g, (columns, (reduced, carry)) in enumerate(groups):
+            mine = order[edges[g] : edges[g + 1]]
             if g < len(blocks):
-                carry, columns = dense_rows(carries, 3 * g, 3 * g + 3)
                 behind = back[mine] * scale[g]
                 leverage[mine] = np.sum((behind @ self._block_inverses[g]) * behind, axis=1)
-                reduced = dense_rows(front, low, high, columns)[0] - behind @ carry
-            else:
-                carry, (reduced, columns) = None, dense_rows(front, low, high)
+                reduced = reduced - behind @ carry
             window = self._schur_factor.inverse_submatrices_by_block[int(self._first_chain_block(columns, axis=0))]
             at = window.positions_of_columns[columns]
             inverse = window.inverse[at[:, None], at]
             leverage[mine] += np.sum((reduced @ inverse) * reduced, axis=1)
-            if carry is not None:
+            if g < len(blocks):
                 blocks[g] += carry @ inverse @ carry.T
         return blocks, leverage
 

@@ -198,8 +198,9 @@ def _centring_places(recording: Recording, is_used_reading: Bools) -> list[_Cent
     places = []
     for centring in (*centrings, CentringUncertainty(sigma_mm=1.0, targets=shared)):
         occupation = np.where(is_used, target_occupations(recording, centring), -1)
-        visit = np.stack([occupation, recording.face * (not centring.stations and len(centring.targets) > 1)])
-        count = len(np.unique(visit[:, occupation >= 0], axis=1).T)
+        face = recording.face * (not centring.stations and len(centring.targets) > 1)
+        visit = occupation * (int(recording.face.max(initial=0)) + 1) + face
+        count = len(np.unique(visit[occupation >= 0]))
         is_repeated = (occupation >= 0).sum() >= MIN_MEAN_REPEATS * count
         if count >= MIN_REPEATS_FOR_VARIANCE and (is_repeated or centring.stations):
             places.append(_CentringPlace(centring, occupation, requires_common_length=not is_repeated))
