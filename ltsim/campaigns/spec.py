@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from ltsim.adjustment.evaluation.criteria import read_nominal
-from ltsim.campaigns.cell_scenarios import require_small_manifest, with_shared_values
+from ltsim.campaigns.cell_scenarios import require_few_statistics, require_small_manifest, with_shared_values
 from ltsim.campaigns.design import MAX_DESIGN_KEYS, Factor, SpaceFillingDesign, cell_label, short_key_names
 from ltsim.campaigns.schema import (
     RESULT_COLUMNS,
@@ -198,6 +198,7 @@ class CampaignFile(TomlSection):
             raise ValueError(
                 f"a campaign should have at most {MAX_CELLS} cells, but grid, design and cells give {cells}: divide it"
             )
+        require_few_statistics(cells, [len(method.effects) for method in self.methods])
         number_of_shards(self.trials, self.trials_per_shard, cells)
         n_rows = min(self.trials_per_shard, self.trials) * len(self.methods)
         if n_rows > MAX_WRITTEN_SHARD_ROWS:

@@ -48,6 +48,7 @@ from ltsim.core.arguments import check_argument_bounds
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.limits import MAX_ADJUSTED_POINTINGS, MAX_ADJUSTED_TARGETS
+from ltsim.core.rounding import index_of_largest
 from ltsim.geometry.rigid import MIN_POINTS_FOR_POSE
 from ltsim.physics.effects.index_drift import IndexDrift
 from ltsim.physics.effects.motions import StationMotionEffect
@@ -276,7 +277,7 @@ def _gross_pointings_and_bump(
     while True:
         drop, rank = setup_model.removal_chi2_drops_and_dof()
         alone = neg_log_p_chi2(drop, rank) - np.log(len(setup_model.row_mask))
-        worst = int(np.argmax(alone))
+        worst = index_of_largest(alone)
         bump, explained, gaps = best_fitting_bump(setup_model)
         creep = _neg_log_p(setup_model.fit_columns(UniformMotion().design(setup_model.sightings)))
         steady = creep >= _neg_log_p(explained) - np.log(gaps)
@@ -305,11 +306,16 @@ def best_fitting_bump(setup_model: SetupModel) -> tuple[StationBump | None, Adde
     if not candidates:
         return None, AddedColumnsFit(0.0, 0, np.zeros(6), np.zeros((6, 6))), 1
     explained_by = {bump: setup_model.fit_columns(bump.design(setup_model.sightings)) for bump in candidates}
-    for bump in max(explained_by, key=lambda bump: _neg_log_p(explained_by[bump])).neighbours(setup_model.sightings):
+    for bump in _most_significant(explained_by).neighbours(setup_model.sightings):
         if _n_targets_across_bump(setup_model, bump) >= MIN_POINTS_FOR_POSE:
             explained_by[bump] = setup_model.fit_columns(bump.design(setup_model.sightings))
-    best_candidate = max(explained_by, key=lambda bump: _neg_log_p(explained_by[bump]))
+    best_candidate = _most_significant(explained_by)
     return best_candidate, explained_by[best_candidate], len(np.unique(setup_model.sightings.time)) - 1
+
+
+def _most_significant(fits: Mapping[StationBump, AddedColumnsFit]) -> StationBump:
+    """Bump (sudden motion of the station) whose fit has the smallest p-value; the first of equal ones."""
+    return [*fits][index_of_largest([_neg_log_p(fit) for fit in fits.values()])]
 
 
 def _n_targets_across_bump(setup_model: SetupModel, bump: StationBump) -> int:
