@@ -15,6 +15,8 @@ from ltsim.simulation.scenario import Scenario
 MAX_MANIFEST_VALUES = 1_400_000
 """Largest number of values in the scenarios of all cells (combinations of factor levels) together, all of which are
 stored in the manifest."""
+MAX_CELLS = 4096
+"""Largest number of cells (combinations of factor levels) of a campaign."""
 MAX_STATISTICS = 150_000
 """Largest number of statistics of a campaign: `N_STATISTICS` and the number of effects for each method, in each cell. A
 statistic takes 1.5 kB in the summary and the report."""
@@ -75,11 +77,16 @@ def require_small_manifest(scenario: Scenario, n_cells: int, path: Path) -> None
         )
 
 
-def require_few_statistics(n_cells: int, n_effects_by_method: Sequence[int]) -> None:
-    """Check that the summary of a campaign has at most `MAX_STATISTICS` statistics; raises ValueError.
+def require_few_cells(n_cells: int, n_effects_by_method: Sequence[int]) -> None:
+    """Check that a campaign has at most `MAX_CELLS` cells and `MAX_STATISTICS` statistics; raises ValueError.
 
-    `n_effects_by_method` holds the number of effects that each calibration method estimates.
+    A cell is a combination of factor levels. `n_effects_by_method` holds the number of effects that each calibration
+    method estimates.
     """
+    if n_cells > MAX_CELLS:
+        raise ValueError(
+            f"a campaign should have at most {MAX_CELLS} cells, but grid, design and cells give {n_cells}: divide it"
+        )
     n_statistics = n_cells * sum(N_STATISTICS + n_effects for n_effects in n_effects_by_method)
     if n_statistics > MAX_STATISTICS:
         raise ValueError(

@@ -302,8 +302,9 @@ class CampaignStatistics:
                 half = self.half_width_of_interval(
                     count, math.sqrt(max(aa - 2 * value * ab + value**2 * bb, 0.0)) / below
                 )
-            low, high, place = value - half, value + half, {"cell": cell, "method": method}
-            shares.append(unchecked_entry(StatisticSummary, **place, column=column, trials=count, mean=value, low=low, high=high))
+            place = {"cell": cell, "method": method, "column": column, "trials": count}
+            limits = {"low": value - half, "high": value + half}
+            shares.append(unchecked_entry(StatisticSummary, **place, mean=value, **limits))
         return shares
 
     def column_values(self, column: str, cell: int, method: str, *, max_trials: int) -> Floats:
