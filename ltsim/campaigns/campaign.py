@@ -306,6 +306,7 @@ def git_commit_of_checkout() -> str | None:
 
 
 def _make_manifest(campaign: CampaignFile, factors: Sequence[Factor], cells: Sequence[CampaignCell]) -> ManifestFile:
+    scenarios = (cell.scenario.model_dump(mode="json", by_alias=True) for cell in cells)
     return ManifestFile(
         title=campaign.title,
         seed=campaign.seed,
@@ -318,7 +319,7 @@ def _make_manifest(campaign: CampaignFile, factors: Sequence[Factor], cells: Seq
         processor=processor_type(),
         commit=git_commit_of_checkout(),
         settings=campaign.model_dump(mode="json", by_alias=True),
-        scenarios=tuple(map(ScenarioSettings.model_validate, shared_json_values(cell.scenario for cell in cells))),
+        scenarios=tuple(map(ScenarioSettings.model_validate, shared_json_values(scenarios))),
     )
 
 

@@ -1,9 +1,9 @@
-"""Sharing of equal values between the scenarios of the cells (combinations of factor levels) of a campaign.
+"""Limits of cells (combinations of factor levels) of a campaign, and equal values that their scenarios share.
 
 Thousands of scenarios that differ in a few values thus take little memory.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -15,6 +15,13 @@ from ltsim.simulation.scenario import Scenario
 MAX_MANIFEST_VALUES = 1_400_000
 """Largest number of values in the scenarios of all cells (combinations of factor levels) together, all of which are
 stored in the manifest."""
+MAX_CELLS = 4096
+"""Largest number of cells (combinations of factor levels) of a campaign."""
+MAX_STATISTICS = 150_000
+"""Largest number of statistics of a campaign: `N_STATISTICS` and the number of effects for each method, in each cell. A
+statistic takes 1.5 kB in the summary and the report."""
+N_STATISTICS = 36
+"""Number of statistics of a method without effects: 20 result columns and the z-scores of 16 parameters."""
 
 ModelType = TypeVar("ModelType", bound=BaseModel)
 """Type of a scenario, or of a table of a scenario."""
@@ -40,8 +47,8 @@ def with_shared_values(model: ModelType, base: ModelType) -> ModelType:
     return model.model_copy(update=shared_values)
 
 
-def shared_json_values(scenarios: Iterable[BaseModel]) -> Iterator[dict[str, Any]]:
-    """JSON values of scenarios, one after the other; equal parts of different scenarios are the same object."""
+def shared_json_values(values: Iterable[Any]) -> Iterator[Any]:
+    """JSON values, one after the other; equal parts of different values are the same object."""
     part_by_text: dict[str, Any] = {}
 
     def shared_value(value: Any) -> Any:
@@ -51,8 +58,8 @@ def shared_json_values(scenarios: Iterable[BaseModel]) -> Iterator[dict[str, Any
             value = [shared_value(part) for part in value]
         return part_by_text.setdefault(repr(value), value)
 
-    for scenario in scenarios:
-        yield {key: shared_value(part) for key, part in scenario.model_dump(mode="json", by_alias=True).items()}
+    for value in values:
+        yield {key: shared_value(part) for key, part in value.items()} if isinstance(value, dict) else value
 
 
 def require_small_manifest(scenario: Scenario, n_cells: int, path: Path) -> None:
@@ -67,4 +74,22 @@ def require_small_manifest(scenario: Scenario, n_cells: int, path: Path) -> None
         raise InputError(
             f"{path}: the scenarios of {n_cells} cells have {n_values} values together, expected at most "
             f"{MAX_MANIFEST_VALUES}: divide the campaign"
+        )
+
+
+def require_few_cells(n_cells: int, n_effects_by_method: Sequence[int]) -> None:
+    """Check that a campaign has at most `MAX_CELLS` cells and `MAX_STATISTICS` statistics; raises ValueError.
+
+    A cell is a combination of factor levels. `n_effects_by_method` holds the number of effects that each calibration
+    method estimates.
+    """
+    if n_cells > MAX_CELLS:
+        raise ValueError(
+            f"a campaign should have at most {MAX_CELLS} cells, but grid, design and cells give {n_cells}: divide it"
+        )
+    n_statistics = n_cells * sum(N_STATISTICS + n_effects for n_effects in n_effects_by_method)
+    if n_statistics > MAX_STATISTICS:
+        raise ValueError(
+            f"a campaign should have at most {MAX_STATISTICS} statistics, but {n_cells} cells with "
+            f"{len(n_effects_by_method)} methods have about {n_statistics}: divide it"
         )

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from ltsim.adjustment.evaluation.criteria import read_nominal
-from ltsim.campaigns.cell_scenarios import require_small_manifest, with_shared_values
+from ltsim.campaigns.cell_scenarios import require_few_cells, require_small_manifest, with_shared_values
 from ltsim.campaigns.design import MAX_DESIGN_KEYS, Factor, SpaceFillingDesign, cell_label, short_key_names
 from ltsim.campaigns.schema import (
     RESULT_COLUMNS,
@@ -35,8 +35,6 @@ from ltsim.simulation.sections import PlacedEffect
 
 CAMPAIGN_FORMAT = "ltsim-campaign/1"
 """Format and version of a campaign file."""
-MAX_CELLS = 4096
-"""Largest number of cells (combinations of factor levels) of a campaign."""
 MAX_WRITTEN_SHARD_ROWS = 65_536
 """Largest number of rows (trials times methods) in a written file of rows (shard). A row with all statistics takes 2 kB
 of memory."""
@@ -194,10 +192,7 @@ class CampaignFile(TomlSection):
     def _check_size(self) -> Self:
         cells = max(len(self.cells), 1) * math.prod(len(values) for values in self.grid.values())
         cells *= self.design.cell_count if self.design else 1
-        if cells > MAX_CELLS:
-            raise ValueError(
-                f"a campaign should have at most {MAX_CELLS} cells, but grid, design and cells give {cells}: divide it"
-            )
+        require_few_cells(cells, [len(method.effects) for method in self.methods])
         number_of_shards(self.trials, self.trials_per_shard, cells)
         n_rows = min(self.trials_per_shard, self.trials) * len(self.methods)
         if n_rows > MAX_WRITTEN_SHARD_ROWS:

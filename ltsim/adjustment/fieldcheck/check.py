@@ -14,6 +14,7 @@ import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.blunders import apply_corrections, detect_blunders
+from ltsim.adjustment.fieldcheck.bump_choice import fit_neg_log_p, most_significant
 from ltsim.adjustment.fieldcheck.network import (
     adjust_for_check,
     n_network_tests,
@@ -48,6 +49,7 @@ from ltsim.core.arguments import check_argument_bounds
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.limits import MAX_ADJUSTED_POINTINGS, MAX_ADJUSTED_TARGETS
+from ltsim.core.rounding import index_of_largest
 from ltsim.geometry.rigid import MIN_POINTS_FOR_POSE
 from ltsim.physics.effects.index_drift import IndexDrift
 from ltsim.physics.effects.motions import StationMotionEffect
@@ -276,15 +278,15 @@ def _gross_pointings_and_bump(
     while True:
         drop, rank = setup_model.removal_chi2_drops_and_dof()
         alone = neg_log_p_chi2(drop, rank) - np.log(len(setup_model.row_mask))
-        worst = int(np.argmax(alone))
+        worst = index_of_largest(alone)
         bump, explained, gaps = best_fitting_bump(setup_model)
-        creep = _neg_log_p(setup_model.fit_columns(UniformMotion().design(setup_model.sightings)))
-        steady = creep >= _neg_log_p(explained) - np.log(gaps)
+        creep = fit_neg_log_p(setup_model.fit_columns(UniformMotion().design(setup_model.sightings)))
+        steady = creep >= fit_neg_log_p(explained) - np.log(gaps)
         bump = None if steady or setup_model.p_value(explained) * gaps >= test_family.alpha_per_test else bump
         enough = (
             alone[worst] <= max(-np.log(test_family.alpha_per_test), creep if steady else 0.0) or len(gross) >= most
         )
-        if enough or (bump is not None and alone[worst] <= _neg_log_p(explained) - np.log(gaps)):
+        if enough or (bump is not None and alone[worst] <= fit_neg_log_p(explained) - np.log(gaps)):
             return gross, bump, setup_model
         gross[worst] = float(np.exp(-alone[worst]))
         use: Bools = setup_model.row_mask & np.asarray(np.arange(len(setup_model.row_mask)) != worst)
@@ -305,10 +307,10 @@ def best_fitting_bump(setup_model: SetupModel) -> tuple[StationBump | None, Adde
     if not candidates:
         return None, AddedColumnsFit(0.0, 0, np.zeros(6), np.zeros((6, 6))), 1
     explained_by = {bump: setup_model.fit_columns(bump.design(setup_model.sightings)) for bump in candidates}
-    for bump in max(explained_by, key=lambda bump: _neg_log_p(explained_by[bump])).neighbours(setup_model.sightings):
+    for bump in most_significant(explained_by).neighbours(setup_model.sightings):
         if _n_targets_across_bump(setup_model, bump) >= MIN_POINTS_FOR_POSE:
             explained_by[bump] = setup_model.fit_columns(bump.design(setup_model.sightings))
-    best_candidate = max(explained_by, key=lambda bump: _neg_log_p(explained_by[bump]))
+    best_candidate = most_significant(explained_by)
     return best_candidate, explained_by[best_candidate], len(np.unique(setup_model.sightings.time)) - 1
 
 
@@ -317,11 +319,6 @@ def _n_targets_across_bump(setup_model: SetupModel, bump: StationBump) -> int:
     is_after = setup_model.sightings.time >= bump.time
     target = setup_model.recording.target
     return len(np.intersect1d(target[setup_model.row_mask & is_after], target[setup_model.row_mask & ~is_after]))
-
-
-def _neg_log_p(fit: AddedColumnsFit) -> float:
-    """Negative logarithm of the p-value of the decrease of chi-square by a fit, for the declared noise."""
-    return float(neg_log_p_chi2(fit.chi2_drop, fit.rank))
 
 
 def _gross_item(
