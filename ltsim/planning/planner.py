@@ -11,11 +11,12 @@ from ltsim.core.notation import names_text
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.planning.expected_precision import DisagreementPredictor, ExpectedDisagreement, ExpectedPrecision
+from ltsim.planning.layout_rules import MAX_NAMES_IN_RULE_TEXT, BrokenRule
 from ltsim.planning.layout_scorer import LayoutScorer
 from ltsim.planning.objective import LayoutObjective
 from ltsim.planning.reflector_changes import ReflectorChanges, evaluate_reflector_changes
 from ltsim.planning.search_inputs import is_target_never_moved, layout_objective, make_search_space, planned_survey
-from ltsim.planning.search_space import MAX_NAMES_IN_RULE_TEXT, BrokenRule, SearchSpace
+from ltsim.planning.search_space import SearchSpace
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import PlannedSurvey
 from ltsim.planning.tolerances import (

@@ -17,7 +17,7 @@ from ltsim.core.notation import names_text
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.planning.expected_precision import ExpectedPrecision
-from ltsim.planning.search_space import BrokenRule, broken_rules_text
+from ltsim.planning.layout_rules import BrokenRule, broken_rules_text
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import PlannedSurvey
 

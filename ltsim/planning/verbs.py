@@ -28,13 +28,14 @@ from ltsim.core.errors import InputError, option_text, unknown_name_error
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
 from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.model.construction import declared_construction
+from ltsim.planning.layout_rules import broken_rules_text
 from ltsim.planning.multistart_search import PlanningProblem
 from ltsim.planning.plan_search import SearchCallbacks, make_plan
 from ltsim.planning.planner import PlannedNetwork, evaluate_plan
 from ltsim.planning.proposals import NextMeasurement
 from ltsim.planning.result import Plan, load_plan_and_scenario
 from ltsim.planning.search_inputs import plan_without_search
-from ltsim.planning.search_space import SearchSpace, broken_rules_text
+from ltsim.planning.search_space import SearchSpace
 from ltsim.planning.site_axes import with_station_poses_on_site
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import PlannedSurvey

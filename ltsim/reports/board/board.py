@@ -16,6 +16,7 @@ from ltsim.core.errors import InputError, LtsimError
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.planning.expected_precision import ExpectedPrecision
+from ltsim.planning.layout_rules import CoincidenceRule, broken_rules_text, sees_enough_targets
 from ltsim.planning.planner import layout_visibility
 from ltsim.planning.result import (
     PLAN_FILE_NAME,
@@ -25,12 +26,7 @@ from ltsim.planning.result import (
     with_cad_file_copies,
 )
 from ltsim.planning.search_inputs import plan_without_search
-from ltsim.planning.search_space import (
-    MAX_COINCIDENCE_DISTANCE,
-    MIN_VISIBLE_TARGETS_PER_STATION,
-    SearchSpace,
-    broken_rules_text,
-)
+from ltsim.planning.search_space import SearchSpace
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import PlannedSurvey
 from ltsim.planning.tolerances import (
@@ -138,11 +134,7 @@ class MovableLayout:
             tripod_grid_spacing(self.search_space.allowed_areas, search.grid_step_mm), search.height_count
         )
         places = places[:: max(1, -(-len(places) // MAX_OFFERED_POSITIONS))]
-        return (
-            places[self.search_space.is_visible(places).sum(axis=1) >= MIN_VISIBLE_TARGETS_PER_STATION]
-            if len(places)
-            else places
-        )
+        return places[sees_enough_targets(self.search_space.is_visible(places))] if len(places) else places
 
     def survey_with_stations(self, stations: Sequence[Mapping[str, Any]]) -> PlannedSurvey:
         """Survey with the given stations (mappings with `name`, `position_mm` and `yaw_deg`); raises InputError.
@@ -281,10 +273,7 @@ def _tolerance_entries(error_to_tolerance: float) -> dict[str, Any]:
 
 def _station_coincides_with_target(survey: PlannedSurvey) -> bool:
     """True if a station coincides with a target, so that no accuracy can be computed."""
-    return bool(
-        np.linalg.norm(survey.station_positions[:, None] - survey.target_points, axis=2).min()
-        < MAX_COINCIDENCE_DISTANCE
-    )
+    return bool(CoincidenceRule(survey.target_points).broken_rules(survey))
 
 
 def _obstacle_path(obstacles: Any) -> str:
