@@ -12,8 +12,15 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from ltsim.adjustment.evaluation.criteria import read_nominal
-from ltsim.campaigns.cell_scenarios import require_small_manifest, with_shared_values
-from ltsim.campaigns.design import MAX_DESIGN_KEYS, Factor, SpaceFillingDesign, cell_label, short_key_names
+from ltsim.campaigns.design import (
+    MAX_DESIGN_KEYS,
+    Factor,
+    SpaceFillingDesign,
+    cell_label,
+    require_small_manifest,
+    short_key_names,
+    with_shared_values,
+)
 from ltsim.campaigns.schema import (
     RESULT_COLUMNS,
     CellEntry,

@@ -21,12 +21,18 @@ from pydantic import BaseModel
 from ltsim.core.arrays import Floats
 from ltsim.core.descriptions import field_descriptions
 from ltsim.core.equality import ValueEquality
-from ltsim.core.errors import ModelError, RecordError, as_printable, missing_extra_error, unknown_name_error
+from ltsim.core.errors import (
+    ModelError,
+    RecordError,
+    as_printable,
+    missing_extra_error,
+    require_columns,
+    unknown_name_error,
+)
 from ltsim.core.limits import MAX_TEXT_LINES
 from ltsim.core.notation import MISSING_TEXT, align_columns, decimals_of_sigma, number_text, unsigned_zero, with_sigma
 from ltsim.core.plotting import plotting_module
 from ltsim.core.probability import p_value_text
-from ltsim.core.table_headers import require_columns
 from ltsim.core.units import UNIT_BY_KEY_ENDING, unit_of_key
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import InputError, RecordError, reraise_as_input_error
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.effects import CATALOGUE
-from ltsim.planning.layout_rules import ClearanceRule, SpacingRule, floor_rules, meets_all, sees_enough_targets
+from ltsim.planning.layout_rules import ClearanceRule, SpacingRule, floor_rules, meets_all
 from ltsim.planning.spec import WALLS_NAME, PlanFile, PlanPoint
 from ltsim.planning.station_placement import StationPlacement
 from ltsim.recordings.coordinates import PointList, read_points as read_coordinates
@@ -348,11 +348,8 @@ def _initial_station_positions(plan_file: PlanFile, scenario: Scenario, n_statio
     visible = compute_visibility(
         grid, points, make_sight_limits(scenario, scenario.instrument), obstacles=obstacles
     ).is_visible
-    useful = sees_enough_targets(visible)
-    if not useful.any():
-        raise InputError("no position on the floor sees three points; enlarge the floor, or move obstacles")
     spacing, none = plan_file.stations.spacing_mm * MILLIMETRE, np.zeros(len(points), dtype=np.int64)
-    placement = StationPlacement(grid[useful], visible[useful], SpacingRule(spacing), np.zeros((0, 3)), none)
+    placement = StationPlacement.from_grid(grid, visible, SpacingRule(spacing), np.zeros((0, 3)), none)
     chosen = placement.place_stations(n_stations, 1)
     if len(chosen) < n_stations:
         raise InputError(

@@ -15,7 +15,6 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.equality import ValueEquality
-from ltsim.core.errors import InputError
 from ltsim.core.notation import names_text
 from ltsim.planning.layout_rules import (
     MAX_NAMES_IN_RULE_TEXT,
@@ -32,7 +31,6 @@ from ltsim.planning.layout_rules import (
     floor_rules,
     is_feasible_layout,
     meets_all,
-    sees_enough_targets,
 )
 from ltsim.planning.station_placement import StationPlacement
 from ltsim.planning.survey import PlannedSurvey
@@ -278,9 +276,5 @@ class SearchSpace(ValueEquality):
         places = self.grid_station_positions(step, n_heights)
         fixed = self.survey.station_positions[list(self.fixed_station_indices)]
         visible = self.is_visible(places)
-        is_sufficient = sees_enough_targets(visible)
-        if not is_sufficient.any():
-            raise InputError("no position on the floor sees three points; enlarge the floor, or move obstacles")
         counted = self.is_visible(fixed).sum(axis=0) if len(fixed) else np.zeros(visible.shape[1], dtype=np.int64)
-        spacing_rule = SpacingRule(self.min_station_spacing)
-        return StationPlacement(places[is_sufficient], visible[is_sufficient], spacing_rule, fixed, counted)
+        return StationPlacement.from_grid(places, visible, SpacingRule(self.min_station_spacing), fixed, counted)

@@ -9,7 +9,8 @@ import scipy.sparse as sp
 from scipy.optimize import Bounds, LinearConstraint, milp
 
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.planning.layout_rules import SpacingRule
+from ltsim.core.errors import InputError
+from ltsim.planning.layout_rules import SpacingRule, sees_enough_targets
 
 N_DRAWN_PLACES_PER_STATION = 24
 """Number of candidate positions that are drawn for each station of a random layout; the best of them is used."""
@@ -35,6 +36,24 @@ class StationPlacement:
     """Positions (F, 3) [m] of the F fixed stations."""
     n_fixed_sights: Ints
     """Number (T,) of fixed stations that see each of T targets."""
+
+    @classmethod
+    def from_grid(
+        cls,
+        positions: Floats,
+        is_visible: Bools,
+        spacing_rule: SpacingRule,
+        fixed_positions: Floats,
+        n_fixed_sights: Ints,
+    ) -> StationPlacement:
+        """Placement at those of N positions (N, 3) [m] that see enough targets for the pose of a station.
+
+        `is_visible` (N, T) flags the sights. Raises InputError if no position sees enough targets.
+        """
+        is_sufficient = sees_enough_targets(is_visible)
+        if not is_sufficient.any():
+            raise InputError("no position on the floor sees three points; enlarge the floor, or move obstacles")
+        return cls(positions[is_sufficient], is_visible[is_sufficient], spacing_rule, fixed_positions, n_fixed_sights)
 
     def place_stations(
         self, n_stations: int, wanted_sights: int, random_generator: np.random.Generator | None = None

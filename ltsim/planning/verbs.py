@@ -10,6 +10,7 @@ import numpy as np
 from ltsim.adjustment.remedies.candidates import VisibilityFunction
 from ltsim.adjustment.remedies.network import PlannedNetwork as ExtendedNetwork
 from ltsim.adjustment.remedies.next_measurement import (
+    DEFAULT_MOVE_TIME,
     ProgressCallback,
     no_progress,
     rank_informative_measurements,
@@ -110,7 +111,7 @@ def next_measurement(
     between: Sequence[str] = (),
     with_effects: str | LinearEffect | Sequence[str | LinearEffect] = (),
     site: str | Path | None = None,
-    minutes_per_move: float = 20.0,
+    minutes_per_move: float = DEFAULT_MOVE_TIME / 60.0,
     progress: ProgressCallback = no_progress,
 ) -> NextMeasurement:
     """Ranking of additional measurements after a recording, and the identified causes of a misfit of its readings.

@@ -27,7 +27,7 @@ from ltsim.planning.result import (
 )
 from ltsim.planning.search_inputs import plan_without_search
 from ltsim.planning.search_space import SearchSpace
-from ltsim.planning.spec import PlanFile
+from ltsim.planning.spec import MAX_STATIONS, MIN_STATIONS, PlanFile
 from ltsim.planning.survey import PlannedSurvey
 from ltsim.planning.tolerances import (
     PointTolerances,
@@ -52,10 +52,6 @@ from ltsim.simulation.scenario import Scenario, scenario_to_toml
 MAX_DRAWN_TRIANGLES = 20_000
 """Largest number of triangles of obstacles in the view from above; if there are more, the largest triangles are
 drawn."""
-MIN_LAYOUT_STATIONS = 2
-"""Smallest number of stations of a layout, the same as for a plan file."""
-MAX_LAYOUT_STATIONS = 40
-"""Largest number of stations of a layout in the browser."""
 STATION_NAME_PATTERN = r"\w[\w.\-]{0,39}"
 """Pattern of the permitted names of a station."""
 MAX_OFFERED_POSITIONS = 200
@@ -153,8 +149,8 @@ class MovableLayout:
             raise InputError(
                 f"coordinates and yaw of a station must be smaller than {MAX_COORDINATE_MM:g} mm and degrees"
             )
-        if not MIN_LAYOUT_STATIONS <= len(names) <= MAX_LAYOUT_STATIONS:
-            raise InputError(f"a layout has {MIN_LAYOUT_STATIONS} to {MAX_LAYOUT_STATIONS} stations, not {len(names)}")
+        if not MIN_STATIONS <= len(names) <= MAX_STATIONS:
+            raise InputError(f"a layout has {MIN_STATIONS} to {MAX_STATIONS} stations, not {len(names)}")
         if len({*names}) < len(names) or not all(re.fullmatch(STATION_NAME_PATTERN, name) for name in names):
             raise InputError("each station needs a different name of letters, digits, points and hyphens")
         old_names = survey.station_names

@@ -1,6 +1,6 @@
 """A difference of scale is reported with the errors of temperature that explain it."""
 
-from ltsim.physics.effects.scale_causes import temperature_errors_text
+from ltsim.physics.effects.air import temperature_errors_text
 
 
 def test_a_scale_difference_is_given_in_kelvin_of_steel_and_of_air() -> None:
