@@ -4,6 +4,7 @@ The scenarios of the cells (combinations of factor levels) share equal values, s
 differ in a few values take little memory.
 """
 
+import hashlib
 import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -16,6 +17,7 @@ from pydantic import BaseModel, Field, model_validator
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import InputError
 from ltsim.core.randomness import random_stream
+from ltsim.core.storage import read_whole_file
 from ltsim.core.units import unit_of_key
 from ltsim.recordings.result_file import Entry
 from ltsim.recordings.setup import Finite, TomlSection
@@ -208,3 +210,25 @@ def require_small_manifest(scenario: Scenario, n_cells: int, path: Path) -> None
             f"{path}: the scenarios of {n_cells} cells have {n_values} values together, expected at most "
             f"{MAX_MANIFEST_VALUES}: divide the campaign"
         )
+
+
+def cad_files(scenarios: Iterable[Scenario]) -> list[Path]:
+    """Paths of the CAD files in the workshops of `scenarios`, without duplicates."""
+    file_names = (o.file for scenario in scenarios for o in scenario.workshop.obstacles if o.file is not None)
+    return [Path(name) for name in dict.fromkeys(file_names)]
+
+
+def with_cad_digests(scenario: Scenario) -> Scenario:
+    """Copy of a scenario in which the name of each CAD file is replaced by the digest of the file's content."""
+    hall = scenario.workshop
+    digests = {path: hashlib.sha256(read_cad_bytes(path)).hexdigest() for path in cad_files([scenario])}
+    obstacles = [o if o.file is None else o.model_copy(update={"file": digests[Path(o.file)]}) for o in hall.obstacles]
+    return scenario.model_copy(update={"workshop": hall.model_copy(update={"obstacles": tuple(obstacles)})})
+
+
+def read_cad_bytes(path: Path) -> bytes:
+    """Content of a CAD file; raises InputError."""
+    try:
+        return read_whole_file(path)
+    except OSError as problem:
+        raise InputError(f"{path}: cannot be read ({problem.strerror})") from None
