@@ -1,7 +1,7 @@
-"""Experimental design of a campaign: factors, points in ranges of several keys, and scenarios of the cells.
+"""Experimental design of a campaign: factors, points in ranges of several keys, scenarios of the cells.
 
 The scenarios of the cells (combinations of factor levels) share equal values, so that thousands of scenarios that
-differ in a few values take little memory.
+differ in a few values take little memory. Their CAD files are identified by digests.
 """
 
 import hashlib
