@@ -83,9 +83,9 @@ def align_columns(header: Sequence[str], table_rows: Sequence[Sequence[str]], n_
     )
 
 
-def count_text(n_items: int, singular: str, plural: str = "") -> str:
+def count_text(n_items: int, singular: str) -> str:
     """Text of a number and its noun: `1 station`, `5 stations`."""
-    return f"{n_items} {singular if n_items == 1 else plural or singular + 's'}"
+    return f"{n_items} {singular}{'' if n_items == 1 else 's'}"
 
 
 def names_text(names: Sequence[str], max_items: int = MAX_LISTED_ITEMS) -> str:

@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
-from ltsim.core.errors import ModelError, NetworkError, unknown_name_error
+from ltsim.core.errors import NetworkError, unknown_name_error
 from ltsim.core.units import ARCSECOND, MICROMETRE, PPM
 from ltsim.geometry import kinematics
 from ltsim.geometry.polar import polar_jacobian, swap_front_and_raw, to_polar, wrap_angle
@@ -231,7 +231,13 @@ _EQUAL_PRIOR_CONTRIBUTION_RANGE = 5.0
 """Range [m] at which the coefficients of all degrees of the range polynomials have equal prior contributions."""
 
 
-def dh_construction(max_order: int = 2, degree: int = 2, *, unphysical_sigma: float = 0.05) -> GeometricErrorModel:
+UNPHYSICAL_DH_SIGMA = 0.05
+"""Prior standard deviation of coefficients that are not in `SPECIFIED_QUANTITY_BY_DH_COEFFICIENT`, divided by 5 um or 1
+arcsec. They have no physical cause, and most of them change the readings in the same way as other coefficients
+(`DH_CHAIN`). The prior keeps them near zero."""
+
+
+def dh_construction(max_order: int = 2, degree: int = 2) -> GeometricErrorModel:
     """Denavit-Hartenberg model of a tracker (Sensors 2021, 21, 7479) with all coefficients of its eq. 3, 4, 6 and 7.
 
     Parameters
@@ -240,10 +246,6 @@ def dh_construction(max_order: int = 2, degree: int = 2, *, unphysical_sigma: fl
         Highest order of the harmonics of the azimuth and elevation axes, 0 to 4.
     degree : int
         Degree of the polynomials in the range that describe the error motions of the range axis.
-    unphysical_sigma : float
-        Prior standard deviation of coefficients that are not in `SPECIFIED_QUANTITY_BY_DH_COEFFICIENT`, divided by 5 um
-        or 1 arcsec. They have no physical cause, and most of them change the readings in the same way as other
-        coefficients (`DH_CHAIN`). The prior keeps them near zero.
 
     Notes
     -----
@@ -263,7 +265,7 @@ def dh_construction(max_order: int = 2, degree: int = 2, *, unphysical_sigma: fl
         name = f"{key}_{end}"
         quantity = SPECIFIED_QUANTITY_BY_DH_COEFFICIENT.get(name)
         unit, size = ("urad", ARCSECOND) if ".e" in key else ("um", 5 * MICROMETRE)
-        unspecified = unit, unphysical_sigma * size * scale
+        unspecified = unit, UNPHYSICAL_DH_SIGMA * size * scale
         unit, sigma = UNIT_AND_SIGMA_BY_SPECIFIED_QUANTITY[quantity] if quantity else unspecified
         parameters.append(Parameter(name, unit, f"coefficient {name} of the Denavit-Hartenberg chain", sigma, quantity))
         terms.append(ChainErrorTerm(key, basis))
@@ -334,22 +336,11 @@ CONSTRUCTION_FACTORY_BY_NAME: dict[str, Callable[[], GeometricErrorModel]] = {
 """Functions that create a geometric error model with its usual orders of series, by the name of the model."""
 
 
-def make_construction(name: str, max_order: int | None = None, degree: int | None = None) -> GeometricErrorModel:
-    """Geometric error model by name; `dh` has harmonics up to `max_order` and range polynomials of `degree`.
-
-    Raises ModelError for an unknown name, for orders of another model than `dh`, and for an order out of bounds.
-    """
+def make_construction(name: str) -> GeometricErrorModel:
+    """Geometric error model by name, with its usual orders of series; raises ModelError for an unknown name."""
     if name not in CONSTRUCTION_FACTORY_BY_NAME:
         raise unknown_name_error("construction", name, CONSTRUCTION_FACTORY_BY_NAME)
-    if max_order is None and degree is None:
-        return CONSTRUCTION_FACTORY_BY_NAME[name]()
-    if name != "dh":
-        raise ModelError(f"harmonics and degree can be set for the construction 'dh' only, not for '{name}'")
-    limits = (("harmonics", max_order, MAX_DH_HARMONIC_ORDER), ("degree", degree, MAX_DH_POLYNOMIAL_DEGREE))
-    for what, order, highest in limits:
-        if order is not None and not 0 <= order <= highest:
-            raise ModelError(f"{what} is {order}, expected 0 to {highest}")
-    return dh_construction(2 if max_order is None else max_order, 2 if degree is None else degree)
+    return CONSTRUCTION_FACTORY_BY_NAME[name]()
 
 
 def construction_with_dh_orders(name: str, max_order: int, degree: int) -> GeometricErrorModel:
