@@ -162,7 +162,7 @@ class SearchSpace(ValueEquality):
             broken = (rule for rule in (*self._floor_rules, *clearance) if rule.is_broken(place[None])[0])
             rules += [BrokenRule(f"{name} stands {rule.reason(place)}", (name,)) for rule in islice(broken, 1)]
         joint = self.replace(survey=survey)._joint_position_rules
-        return (*rules, *(found for rule in joint for found in rule.broken_rules(survey)))
+        return (*rules, *(broken for rule in joint for broken in rule.broken_rules(survey)))
 
     def broken_sight_rules(self, survey: PlannedSurvey) -> tuple[BrokenRule, ...]:
         """Rules on sights that a layout breaks, according to `is_visible` of the survey; empty if none is broken."""

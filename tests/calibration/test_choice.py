@@ -128,9 +128,9 @@ def test_a_prior_of_a_parameter_that_does_not_exist_is_refused(recording: Record
 
 @pytest.mark.parametrize(("harmonics", "degree", "size"), [(0, 1, 24), (3, 2, 102), (4, 3, 132)])
 def test_the_order_of_the_harmonics_is_an_option(harmonics: int, degree: int, size: int) -> None:
-    from ltsim.physics.model.construction import construction_for_parameters, dh_construction
+    from ltsim.physics.model.construction import construction_for_parameters, make_construction
 
-    built = dh_construction(harmonics, degree)
+    built = make_construction("dh", harmonics, degree)
     assert built.n_parameters == size
     assert construction_for_parameters("dh", built.parameter_names).parameter_names == built.parameter_names
 

@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
-from ltsim.core.errors import NetworkError, unknown_name_error
+from ltsim.core.errors import ModelError, NetworkError, unknown_name_error
 from ltsim.core.units import ARCSECOND, MICROMETRE, PPM
 from ltsim.geometry import kinematics
 from ltsim.geometry.polar import polar_jacobian, swap_front_and_raw, to_polar, wrap_angle
@@ -229,12 +229,9 @@ equivalent to the misalignments of a tracker with the laser source in the head."
 
 _EQUAL_PRIOR_CONTRIBUTION_RANGE = 5.0
 """Range [m] at which the coefficients of all degrees of the range polynomials have equal prior contributions."""
-
-
 UNPHYSICAL_DH_SIGMA = 0.05
-"""Prior standard deviation of coefficients that are not in `SPECIFIED_QUANTITY_BY_DH_COEFFICIENT`, divided by 5 um or 1
-arcsec. They have no physical cause, and most of them change the readings in the same way as other coefficients
-(`DH_CHAIN`). The prior keeps them near zero."""
+"""Prior standard deviation [5 um or 1 arcsec] of coefficients that are not in `SPECIFIED_QUANTITY_BY_DH_COEFFICIENT`.
+They have no physical cause, and most of them act like other coefficients (`DH_CHAIN`)."""
 
 
 def dh_construction(max_order: int = 2, degree: int = 2) -> GeometricErrorModel:
@@ -336,11 +333,22 @@ CONSTRUCTION_FACTORY_BY_NAME: dict[str, Callable[[], GeometricErrorModel]] = {
 """Functions that create a geometric error model with its usual orders of series, by the name of the model."""
 
 
-def make_construction(name: str) -> GeometricErrorModel:
-    """Geometric error model by name, with its usual orders of series; raises ModelError for an unknown name."""
+def make_construction(name: str, max_order: int | None = None, degree: int | None = None) -> GeometricErrorModel:
+    """Geometric error model by name; `dh` has harmonics up to `max_order` and range polynomials of `degree`.
+
+    Raises ModelError for an unknown name, for orders of another model than `dh`, and for an order out of bounds.
+    """
     if name not in CONSTRUCTION_FACTORY_BY_NAME:
         raise unknown_name_error("construction", name, CONSTRUCTION_FACTORY_BY_NAME)
-    return CONSTRUCTION_FACTORY_BY_NAME[name]()
+    if max_order is None and degree is None:
+        return CONSTRUCTION_FACTORY_BY_NAME[name]()
+    if name != "dh":
+        raise ModelError(f"harmonics and degree can be set for the construction 'dh' only, not for '{name}'")
+    limits = (("harmonics", max_order, MAX_DH_HARMONIC_ORDER), ("degree", degree, MAX_DH_POLYNOMIAL_DEGREE))
+    for what, order, highest in limits:
+        if order is not None and not 0 <= order <= highest:
+            raise ModelError(f"{what} is {order}, expected 0 to {highest}")
+    return dh_construction(2 if max_order is None else max_order, 2 if degree is None else degree)
 
 
 def construction_with_dh_orders(name: str, max_order: int, degree: int) -> GeometricErrorModel:
