@@ -255,7 +255,7 @@ class TargetSightsRule(LayoutRule):
         return np.asarray(is_visible.sum(axis=1) < self.min_sights_per_target)
 
     def sentences(self, survey: PlannedSurvey, broken: Ints) -> list[BrokenRule]:
-        """One sentence on all targets."""
+        """Sentence, in a list, on all targets that break the rule."""
         named = names_text([survey.target_names[t] for t in broken], MAX_NAMES_IN_RULE_TEXT)
         verb = "is" if len(broken) == 1 else "are"
         stations = f"{self.min_sights_per_target} station{'s' if self.min_sights_per_target > 1 else ''}"
@@ -310,7 +310,7 @@ class NestAimRule(LayoutRule):
         return np.asarray(incidence.max(axis=2) >= self.max_incidence_angle - NEST_ANGLE_MARGIN)
 
     def sentences(self, survey: PlannedSurvey, broken: Ints) -> list[BrokenRule]:
-        """One sentence on all nests."""
+        """Sentence, in a list, on all nests that break the rule."""
         named = names_text([self.names[k] for k in broken], MAX_NAMES_IN_RULE_TEXT)
         return [BrokenRule(f"fixed nests of {named} cannot be aimed at all stations (smr.acceptance_deg)")]
 
