@@ -79,6 +79,11 @@ class ExpectedPrecision:
         """Expected covariance matrix (p, p) of the p instrument parameters [SI], from readings and priors."""
         return self.adjustment.first_instrument_covariance
 
+    @property
+    def covariance_in_prior_sigmas(self) -> Floats:
+        """Covariance matrix (p, p) of the p instrument parameters in prior sigmas; the identity without readings."""
+        return self.instrument_covariance / np.outer(self.prior_sigma, self.prior_sigma)
+
     @cached_property
     def instrument_sigmas(self) -> Floats:
         """Expected standard deviation (p,) of the p instrument parameters [m, rad or 1], from readings and priors."""

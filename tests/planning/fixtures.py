@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from ltsim.core.arrays import Floats
-from ltsim.planning.expected_precision import ExpectedPrecision
 from ltsim.planning.survey import PlannedSurvey
 from ltsim.recordings.setup import GaugeDistance, Instrument, LengthGauge, Noise, Setup
 
@@ -78,8 +76,3 @@ grid_step_mm = 1500
 [[goal.tolerances]]
 tolerance_mm = {tolerance_mm}
 """
-
-
-def covariance_in_prior_sigmas(precision: ExpectedPrecision) -> Floats:
-    """Expected covariance matrix (p, p) of the instrument parameters, each in units of its prior sigma."""
-    return precision.instrument_covariance / np.outer(precision.prior_sigma, precision.prior_sigma)

@@ -22,7 +22,7 @@ from ltsim.planning.objective import mean_detectable_size
 from ltsim.planning.search_inputs import planned_survey
 from ltsim.recordings.setup import Station
 from ltsim.simulation.scenario import load_scenario
-from tests.planning.fixtures import POSITION, YAW, covariance_in_prior_sigmas, survey
+from tests.planning.fixtures import POSITION, YAW, survey
 
 
 def scattered(layouts: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -47,7 +47,7 @@ def test_undetermined_combinations_have_the_gain_they_state() -> None:
     information = ExpectedPrecision.from_survey(survey((1,)))
     assert information.undetermined_combinations, "one face leaves the vertical group undetermined"
     for direction in information.undetermined_combinations:
-        left = direction.coefficient_vector @ covariance_in_prior_sigmas(information) @ direction.coefficient_vector
+        left = direction.coefficient_vector @ information.covariance_in_prior_sigmas @ direction.coefficient_vector
         assert 1.0 - left == pytest.approx(direction.gain, abs=1e-12)
         assert direction.gain < 0.5
     first = information.undetermined_combinations[0].coefficients(information.construction.parameter_names)
@@ -84,9 +84,9 @@ def test_batch_agrees_with_the_slow_twin(faces: tuple[int, ...]) -> None:
             made.replace(station_positions=position[i], station_yaws=yaw[i], is_visible=visible[i])
         )
         fast = np.linalg.inv(out.information_matrices[i])
-        assert np.sqrt(np.diag(fast)) == pytest.approx(np.sqrt(np.diag(covariance_in_prior_sigmas(slow))), rel=1e-9)
+        assert np.sqrt(np.diag(fast)) == pytest.approx(np.sqrt(np.diag(slow.covariance_in_prior_sigmas)), rel=1e-9)
         scale = np.sqrt(np.diag(fast))
-        assert np.abs((fast - covariance_in_prior_sigmas(slow)) / np.outer(scale, scale)).max() < 1e-9
+        assert np.abs((fast - slow.covariance_in_prior_sigmas) / np.outer(scale, scale)).max() < 1e-9
         assert out.weighted_target_rms[i] == pytest.approx(slow.weighted_target_rms, rel=1e-9)
 
 
@@ -115,7 +115,7 @@ def test_batch_agrees_with_the_slow_twin_for_ranges_alone() -> None:
     for i in range(4):
         slow = ExpectedPrecision.from_survey(made.replace(station_positions=position[i], station_yaws=yaw[i]))
         fast = np.linalg.inv(out.information_matrices[i])
-        assert np.abs(fast - covariance_in_prior_sigmas(slow)).max() < 1e-7
+        assert np.abs(fast - slow.covariance_in_prior_sigmas).max() < 1e-7
         assert out.weighted_target_rms[i] == pytest.approx(slow.target_rms, rel=1e-7)
 
 
@@ -239,7 +239,7 @@ def test_fixed_nests_have_the_reflectors_error_in_both() -> None:
         np.arange(5)[None],
         with_target_errors=True,
     )
-    assert np.abs(np.linalg.inv(out.information_matrices[0]) - covariance_in_prior_sigmas(slow)).max() < 1e-9
+    assert np.abs(np.linalg.inv(out.information_matrices[0]) - slow.covariance_in_prior_sigmas).max() < 1e-9
     assert out.weighted_target_rms[0] == pytest.approx(slow.target_rms, rel=1e-9)
     targets = {name: target.model_copy(update={"reaimed": True}) for name, target in made.setup.targets.items()}
     aimed = ExpectedPrecision.from_survey(made.replace(setup=made.setup.model_copy(update={"targets": targets})))

@@ -30,7 +30,7 @@ from ltsim.planning.search_space import SearchSpace
 from ltsim.scene.floor import StandingArea, is_inside_outline
 from ltsim.scene.meshes import box_triangles, join_obstacles, rotate_and_shift_triangles
 from ltsim.scene.visibility import SightLimits, compute_visibility, nest_normals_of_smallest_incidence
-from tests.planning.fixtures import covariance_in_prior_sigmas, survey
+from tests.planning.fixtures import survey
 
 FLOOR = np.array([[0.6, 0.6], [5.6, 0.6], [5.6, 5.6], [0.6, 5.6]])
 
@@ -64,7 +64,7 @@ def found():  # type: ignore[no-untyped-def]
 
 
 def test_the_value_is_that_of_the_layout_it_returns(found) -> None:  # type: ignore[no-untyped-def]
-    covariance = covariance_in_prior_sigmas(information(site(), found.positions, found.yaws))
+    covariance = information(site(), found.positions, found.yaws).covariance_in_prior_sigmas
     assert found.objective_value == pytest.approx(float(d_criterion(covariance)), rel=1e-8)
 
 
@@ -235,7 +235,7 @@ def test_targets_and_diagnosis_are_goals_of_their_own() -> None:
         where, LayoutObjective({INSTRUMENT_QUALITY_NAME: 1.0, TARGETS_QUALITY_NAME: 1.0}, "A")
     ).search_from(2, 1)
     slow = information(where, mixed.positions, mixed.yaws)
-    mean = np.sqrt(float(a_criterion(covariance_in_prior_sigmas(slow))) * slow.target_rms)
+    mean = np.sqrt(float(a_criterion(slow.covariance_in_prior_sigmas)) * slow.target_rms)
     assert mixed.objective_value == pytest.approx(mean, rel=1e-8)
 
 
@@ -247,8 +247,8 @@ def test_reflectors_move_to_better_places_and_the_gauge_stays() -> None:
     where = site(candidate_reflector_places=places, reflector_place_names=names, min_reflector_spacing=0.5)
     stays = np.arange(28) >= 24
     made = choose_reflectors(where, where.survey, stays, LayoutObjective(), misalignment_construction())
-    before = d_criterion(covariance_in_prior_sigmas(ExpectedPrecision.from_survey(where.survey)))
-    after = d_criterion(covariance_in_prior_sigmas(ExpectedPrecision.from_survey(made)))
+    before = d_criterion(ExpectedPrecision.from_survey(where.survey).covariance_in_prior_sigmas)
+    after = d_criterion(ExpectedPrecision.from_survey(made).covariance_in_prior_sigmas)
     assert after < 0.97 * before
     assert len(made.target_names) == len(set(made.target_names)) == 28
     assert made.target_points[:4] == pytest.approx(where.survey.target_points[24:])
