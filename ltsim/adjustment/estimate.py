@@ -30,6 +30,7 @@ from ltsim.adjustment.structure import raise_for_singular_network
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import ModelError, NetworkError
 from ltsim.core.limits import MAX_ADJUSTED_POINTINGS, MAX_ADJUSTED_TARGETS
+from ltsim.core.parallel import single_threaded
 from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE, SQRT_MACHINE_EPSILON
 from ltsim.geometry.rigid import MIN_POINTS_FOR_POSE
 from ltsim.physics.effects.linear_effect import LinearEffect
@@ -42,7 +43,6 @@ from ltsim.physics.model.measurement import (
 )
 from ltsim.recordings.recording import Recording
 from ltsim.solve.gauss_newton import Solution, solve
-from ltsim.solve.threads import single_threaded
 
 
 @raise_for_singular_network

@@ -21,19 +21,16 @@ import llvmlite.binding
 from joblib import Parallel, delayed, parallel_config
 
 from ltsim.campaigns.calibrators import estimated_effects, estimated_error_model
-from ltsim.campaigns.cell_scenarios import shared_json_values
-from ltsim.campaigns.design import Factor, cell_label
+from ltsim.campaigns.design import Factor, cad_files, cell_label, read_cad_bytes, shared_json_values
 from ltsim.campaigns.schema import ManifestFile, ScenarioSettings, number_of_shards
 from ltsim.campaigns.shard_rows import ShardTask, load_cell_context, n_rows_of_shard, run_shard_task
 from ltsim.campaigns.spec import (
     VALIDATION_STREAM_KEY,
     CampaignCell,
     CampaignFile,
-    cad_files,
     load_campaign,
     make_campaign_cells,
     path_relative_to_campaign_file,
-    read_cad_bytes,
 )
 from ltsim.campaigns.statistics import CampaignStatistics
 from ltsim.campaigns.stopping import CellAndShardIndex, iterate_stopping_rounds

@@ -8,8 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
 from pydantic import ConfigDict, Field, StrictBool, StrictFloat, StrictInt, StrictStr, field_validator, model_validator
 
-from ltsim.campaigns.cell_scenarios import shared_json_values
-from ltsim.campaigns.design import Factor
+from ltsim.campaigns.design import Factor, shared_json_values
 from ltsim.core.limits import MAX_JSON_VALUES
 from ltsim.core.results import Column, Table, number_columns, text_columns
 from ltsim.recordings.result_file import Entry, ResultFile

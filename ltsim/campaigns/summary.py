@@ -20,16 +20,21 @@ NumberOrNaN = Annotated[float, PlainSerializer(_null_if_not_finite, return_type=
 """Number, or NaN for a missing number; NaN becomes null in JSON."""
 
 
-class StatisticSummary(Entry):
-    """Statistics of one column over the trials of one cell (combination of factor levels) and method.
-
-    A ratio over all trials has only a mean and a confidence interval.
-    """
+class CellMethodEntry(Entry):
+    """Summary of the trials of one cell (combination of factor levels) and calibration method."""
 
     cell: int
     """Index of the cell (combination of factor levels) in the campaign, from 0."""
     method: str
     """Name of the calibration method."""
+
+
+class StatisticSummary(CellMethodEntry):
+    """Statistics of one column over the trials of one cell (combination of factor levels) and method.
+
+    A ratio over all trials has only a mean and a confidence interval.
+    """
+
     column: str
     """Name of the result column, or of a ratio over all trials."""
     trials: int
@@ -52,17 +57,13 @@ class StatisticSummary(Entry):
     """Unit of the values."""
 
 
-class ZScoreSummary(Entry):
+class ZScoreSummary(CellMethodEntry):
     """Summary of the z-scores, (estimate - true value) / sigma, of one parameter for a cell and method.
 
     A cell is a combination of factor levels. The z-scores are standard normal if the true values are drawn from the
     prior of the parameter and the covariance is correct.
     """
 
-    cell: int
-    """Index of the cell (combination of factor levels) in the campaign, from 0."""
-    method: str
-    """Name of the calibration method."""
     parameter: str
     """Name of the parameter."""
     trials: int
@@ -75,16 +76,12 @@ class ZScoreSummary(Entry):
     """Fraction of the trials whose 95 % interval contains the true value."""
 
 
-class SolverComparison(Entry):
+class SolverComparison(CellMethodEntry):
     """Comparison of two solvers, in the trials of one cell (combination of factor levels) and method.
 
     The batch solver calibrates many trials together, the full solver (`lt.calibrate`) one at a time.
     """
 
-    cell: int
-    """Index of the cell (combination of factor levels) in the campaign, from 0."""
-    method: str
-    """Name of the calibration method."""
     trials: int
     """Number of trials of this cell (combination of factor levels) and method."""
     failed_trials: int

@@ -14,7 +14,14 @@ import typer
 
 import ltsim as lt
 from ltsim.campaigns import require_campaign_packages
-from ltsim.cli.options import FunctionOptions, PairParser, bounded_option, choice_option, parse_toml_value
+from ltsim.cli.options import (
+    FunctionOptions,
+    PairParser,
+    ShowTemplateOption,
+    bounded_option,
+    choice_option,
+    parse_toml_value,
+)
 from ltsim.cli.output_checks import NEW_FILE_OUTPUT, RESULT_FOLDER_OUTPUT, ForceOption
 from ltsim.cli.simulate import ScenarioArgument
 from ltsim.cli.terminal import ResultFolderTerminal, Terminal, write_line
@@ -35,9 +42,6 @@ trial; above it the exit status is 1."""
 
 
 CampaignFileArgument = Annotated[str | None, typer.Argument(metavar="FILE", help="A campaign file (ltsim-campaign/1).")]
-ShowTemplateOption = Annotated[
-    bool, typer.Option("--show", help="Print a commented template of a campaign file, and stop.")
-]
 CampaignFolderOption = Annotated[
     Path | None,
     typer.Option("--out", metavar="DIR", help="Folder for the rows; default: FILE without its suffix."),

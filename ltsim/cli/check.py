@@ -13,7 +13,7 @@ import typer
 import ltsim as lt
 from ltsim.cli.estimation_options import BenchOptions, CheckOptions, CompareOptions, UncertaintyOptions
 from ltsim.cli.examples import example_file_content
-from ltsim.cli.options import ReadingOptions, ReadingOptionsWithControl, RecordingArgument
+from ltsim.cli.options import ReadingOptions, ReadingOptionsWithControl, RecordingArgument, ShowTemplateOption
 from ltsim.cli.terminal import ResultFolderTerminal, Terminal, is_reader_gone
 from ltsim.core.errors import InputError, NetworkError, RecordError
 from ltsim.core.notation import align_columns
@@ -41,7 +41,6 @@ WatchOption = Annotated[
 AcceptanceFileArgument = Annotated[
     Path | None, typer.Argument(metavar="FILE", help="An acceptance file (ltsim-acceptance/1).")
 ]
-ShowTemplateOption = Annotated[bool, typer.Option("--show", help="Print a commented template, and stop.")]
 BenchTableArgument = Annotated[Path, typer.Argument(metavar="FILE", help="A table of angle_deg,length_um,probe_um.")]
 POLL_INTERVAL_S = 1.0
 """Time [s] between two looks at the files of a growing recording, to see whether they have changed."""

@@ -34,9 +34,8 @@ from ltsim.diagnosis.sentences import (
     diagnosis_summary,
     unknown_noise_sentence,
 )
-from ltsim.physics.laws.centring import CentringVariance
 from ltsim.physics.laws.text_form import covariate_value_text, region_text
-from ltsim.physics.laws.variance import VarianceFunction
+from ltsim.physics.laws.variance import CentringVariance, VarianceFunction
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.recordings.result_file import ResultSource
 from ltsim.recordings.specification import noise_origin

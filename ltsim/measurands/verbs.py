@@ -99,7 +99,7 @@ def compare(
     calibrate : bool
         True to estimate the instrument parameters in each recording.
     robust : bool
-        True to exclude outliers; each excluded reading is tested again at the end.
+        True to exclude outlying readings; each excluded reading is tested again at the end.
     level : float
         Significance level: probability that at least one point is reported as moved although none moved.
 

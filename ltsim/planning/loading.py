@@ -15,14 +15,14 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import InputError, RecordError, reraise_as_input_error
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.effects import CATALOGUE
-from ltsim.planning.search_space import MIN_VISIBLE_TARGETS_PER_STATION
+from ltsim.planning.layout_rules import ClearanceRule, SpacingRule, floor_rules, meets_all
 from ltsim.planning.spec import WALLS_NAME, PlanFile, PlanPoint
 from ltsim.planning.station_placement import StationPlacement
 from ltsim.recordings.coordinates import PointList, read_points as read_coordinates
 from ltsim.recordings.files import parse_comma_number, safe_excerpt
 from ltsim.recordings.settings import read_toml, validate_settings
 from ltsim.scene.clearance import StandClearance
-from ltsim.scene.floor import areas_and_keep_outs, grid_over_area, is_allowed_position, tripod_grid_spacing
+from ltsim.scene.floor import areas_and_keep_outs, grid_over_area, tripod_grid_spacing
 from ltsim.scene.visibility import compute_visibility
 from ltsim.simulation.builtin import builtin_names
 from ltsim.simulation.scenario import SCENARIO_FORMAT, Scenario, load_scenario, validate_scenario
@@ -336,9 +336,10 @@ def _initial_station_positions(plan_file: PlanFile, scenario: Scenario, n_statio
     grid = np.concatenate(
         [grid_over_area(area, tripod_grid_spacing(areas, plan_file.search.grid_step_mm), 1) for area in areas]
     )
-    grid = grid[is_allowed_position(areas, keep_outs, obstacles, grid)]
+    rules = floor_rules(areas, keep_outs, obstacles)
     if obstacles is not None:
-        grid = grid[StandClearance(obstacles, plan_file.stations.clearance_mm * MILLIMETRE).has_room(grid)]
+        rules = (*rules, ClearanceRule(StandClearance(obstacles, plan_file.stations.clearance_mm * MILLIMETRE)))
+    grid = grid[meets_all(rules, grid)]
     if not len(grid):
         raise InputError(
             "the floor has no place for a tripod; enlarge the floor, move obstacles, or reduce search.grid_step_mm "
@@ -347,11 +348,8 @@ def _initial_station_positions(plan_file: PlanFile, scenario: Scenario, n_statio
     visible = compute_visibility(
         grid, points, make_sight_limits(scenario, scenario.instrument), obstacles=obstacles
     ).is_visible
-    useful = visible.sum(axis=1) >= MIN_VISIBLE_TARGETS_PER_STATION
-    if not useful.any():
-        raise InputError("no position on the floor sees three points; enlarge the floor, or move obstacles")
     spacing, none = plan_file.stations.spacing_mm * MILLIMETRE, np.zeros(len(points), dtype=np.int64)
-    placement = StationPlacement(grid[useful], visible[useful], spacing, np.zeros((0, 3)), none)
+    placement = StationPlacement.from_grid(grid, visible, SpacingRule(spacing), np.zeros((0, 3)), none)
     chosen = placement.place_stations(n_stations, 1)
     if len(chosen) < n_stations:
         raise InputError(

@@ -22,7 +22,7 @@ import numpy as np
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import require_small_joint_covariance
-from ltsim.core.results import escape_cell_text, unescape_cell_text
+from ltsim.core.notation import escape_cell_text, unescape_cell_text
 from ltsim.core.units import MILLIMETRE, SI_PER_UNIT
 from ltsim.recordings.covariance_file import read_covariance_matrix
 from ltsim.recordings.files import SourceLocation, read_file_beginning, safe_excerpt

@@ -16,7 +16,7 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import MAX_TEXT_LINES, require_small_joint_covariance
-from ltsim.core.results import unescape_cell_text
+from ltsim.core.notation import unescape_cell_text
 from ltsim.recordings.files import MAX_NUMBER_TEXT_LENGTH, SourceLocation, read_text, safe_excerpt, with_unix_line_ends
 
 MAX_COVARIANCE_ASYMMETRY = 1e-6

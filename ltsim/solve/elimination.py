@@ -24,6 +24,7 @@ import scipy.sparse as sp
 
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import NetworkError
+from ltsim.core.parallel import single_threaded
 from ltsim.solve.chain import BlockChainFactor, inverse_from_cholesky
 from ltsim.solve.design import (
     DESIGN_RANK_TOLERANCE,
@@ -36,7 +37,6 @@ from ltsim.solve.design import (
     scale_to_unit_diagonal,
 )
 from ltsim.solve.row_groups import dense_row_groups
-from ltsim.solve.threads import single_threaded
 
 
 class DenseElimination:

@@ -13,9 +13,9 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from ltsim.campaigns.batch_fit import MAX_DISTANCE_TO_OPTIMUM
+from ltsim.campaigns.batch_network import MAX_DISTANCE_TO_OPTIMUM
 from ltsim.campaigns.campaign import run_campaign
-from ltsim.campaigns.cell_scenarios import require_few_cells
+from ltsim.campaigns.design import require_few_cells
 from ltsim.campaigns.row_queries import rows_sql
 from ltsim.campaigns.schema import ManifestFile
 from ltsim.campaigns.shard_rows import load_cell_context
@@ -128,7 +128,7 @@ def test_cells_whose_scenarios_no_reader_takes_are_refused_before_the_work(
 ) -> None:
     """The rows of 4,096 cells were computed, and then the manifest was refused."""
     file.write_text(FILE)
-    monkeypatch.setattr("ltsim.campaigns.cell_scenarios.MAX_MANIFEST_VALUES", 500)
+    monkeypatch.setattr("ltsim.campaigns.design.MAX_MANIFEST_VALUES", 500)
     with pytest.raises(
         InputError, match=r"the scenarios of 2 cells have \d+ values together, expected at most 500: div"
     ):

@@ -25,10 +25,10 @@ from ltsim.adjustment.reference_tests import length_sigma
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import names_text, number_text, with_sigma
 from ltsim.core.units import ARCSECOND, MICROMETRE, MICRORADIAN, MILLIMETRE, PPM, SI_PER_UNIT
-from ltsim.physics.effects.scale_causes import temperature_errors_text
+from ltsim.physics.effects.air import temperature_errors_text
 from ltsim.physics.effects.station_settling import StationSettling
 from ltsim.physics.effects.target_moved import TargetMoved, moved_coordinates_sentence
-from ltsim.physics.laws.centring import shared_errors_sentence
+from ltsim.physics.laws.variance import shared_errors_sentence
 from ltsim.recordings.times import interval_text
 
 

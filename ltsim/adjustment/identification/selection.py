@@ -44,9 +44,9 @@ from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, MIN_LOG_EVIDENCE_GA
 from ltsim.adjustment.snooping import without_copied_rows
 from ltsim.core.errors import LtsimError, NetworkError
 from ltsim.core.limits import MAX_ADJUSTED_POINTINGS, MAX_ADJUSTED_TARGETS
+from ltsim.core.parallel import single_threaded
 from ltsim.physics.model.construction import GeometricErrorModel, declared_construction
 from ltsim.recordings.recording import Recording
-from ltsim.solve.threads import single_threaded
 
 MAX_SELECTED_HYPOTHESES = 8
 """Largest number of hypotheses on causes of a misfit that are selected for one network."""
