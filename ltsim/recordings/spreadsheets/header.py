@@ -9,6 +9,7 @@ from functools import lru_cache
 
 from ltsim.core.units import ANGLE_UNITS, LENGTH_UNITS, SMALL_ANGLE_UNITS, UNIT_BY_SPELLING
 from ltsim.recordings.files import SourceLocation, safe_excerpt
+from ltsim.recordings.spreadsheets.angle_cells import joined_angle_text
 from ltsim.recordings.spreadsheets.title_words import (
     COMMON_SIGMA_ROLE,
     EAST_ASIAN_LETTERS,
@@ -83,8 +84,6 @@ _SIGMA_TITLE_PATTERN = (
     re.compile(r"([a-z]+?)(?:error|err|sigma|stddev|std|sd)"),
 )
 """Patterns of titles of standard deviations; group 1 is the title of the reading or coordinate."""
-ANGLE_SYMBOLS = ("°", "'", '"')
-"""Symbols of degrees, minutes and seconds, used to join cells of separate columns to one angle."""
 ANGLE_PART_UNITS = ("min", "sec", "'", '"', "m", "s")
 """Units in the titles of separate columns of minutes or seconds of an angle."""
 ANGLE_PART_ROLE = "part"
@@ -128,9 +127,7 @@ class TableColumn:
         if not self.angle_part_positions:
             return table[self.position]
         cell_rows = zip(*(table[place] for place in (self.position, *self.angle_part_positions)), strict=True)
-        return [
-            " ".join(cell + sign for cell, sign in zip(row, ANGLE_SYMBOLS, strict=False) if cell) for row in cell_rows
-        ]
+        return list(map(joined_angle_text, cell_rows))
 
     @property
     def is_additional(self) -> bool:
