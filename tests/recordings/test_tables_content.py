@@ -523,3 +523,40 @@ def test_advice_names_station_target_and_packed_angles(tmp_path: Path, form: str
     advice = f"station=a,target=b,azimuth=c[{unit}],vertical=d[{unit}],distance=e[m]"
     with pytest.raises(RecordError, match=re.escape(advice)):
         read(file)
+
+
+def position(i: int) -> list[str]:
+    """Coordinates [mm] of the i-th position of a moving target."""
+    return [f"{c + 11.5 * i}" for c in (2500.1, 40.2, -300.3)]
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "time;q1;q2;q3;Tracker X;Tracker Y;Tracker Z",
+        "time;Rx;Ry;Rz;laser_x [mm];laser_y [mm];laser_z [mm]",
+        "time;rot_x;rot_y;rot_z;X_T-Mac;Y_T-Mac;Z_T-Mac",
+        "time;nominal_x;nominal_y;nominal_z;measured_x;measured_y;measured_z",
+        "A1;A2;A3;A4;X [mm];Y [mm];Z [mm]",
+    ],
+)
+def test_coordinates_with_a_common_word_are_positions(tmp_path: Path, header: str) -> None:
+    rows = [[f"{i}", f"{0.1 * i:.3f}", "0.500", "-1.250", *position(i)] for i in range(8)]
+    file = written(tmp_path / "a.csv", header, rows)
+    with pytest.raises(RecordError, match="8 positions without point names, as a moving target gives"):
+        read(file)
+    found = read(file, format="table", hints=Hints(station="T1"))
+    assert len(found.targets) == 8
+    assert found.readings[0, 0] == pytest.approx(np.linalg.norm([2.5001, 0.0402, -0.3003]), abs=1e-9)
+
+
+def test_advice_on_joint_angles_and_positions_without_titles(tmp_path: Path) -> None:
+    rows = [[f"{17.25 * (-1) ** i * j - i}" for j in range(1, 7)] + position(-37 * (i % 3)) for i in range(8)]
+    with pytest.raises(RecordError, match=r"x=7\[mm\],y=8\[mm\],z=9\[mm\]"):
+        read(written(tmp_path / "a.txt", "# robot", rows, " "))
+
+
+def test_numbered_poses_with_joint_angles_are_no_list_of_points(tmp_path: Path) -> None:
+    rows = [[f"{i + 1}", f"{3.5 * i}", f"{1.5 * i}", "0.5", *position(i)] for i in range(8)]
+    with pytest.raises(RecordError, match="8 positions without point names"):
+        read(written(tmp_path / "a.csv", "pose;J1;J2;J3;x;y;z", rows))

@@ -12,14 +12,16 @@ from ltsim.recordings.spreadsheets import cells
 from ltsim.recordings.spreadsheets.angle_cells import ANGLE_SYMBOLS
 from ltsim.recordings.spreadsheets.header import (
     COORDINATE_ROLES,
+    header_columns,
     normalised_title,
     title_role,
     title_words_and_unit,
-    unknown_unit_sentence,
 )
 from ltsim.recordings.spreadsheets.sheets import SheetRow, TableSheet
+from ltsim.recordings.spreadsheets.title_units import unknown_unit_sentence
 from ltsim.recordings.tables.packed_angles import are_packed_angles
 from ltsim.recordings.tables.pointing_table import to_digit_texts
+from ltsim.recordings.tables.unnamed_targets import MOVING_TARGET_TEXT, STATION_OF_POSITIONS_ADVICE
 from ltsim.recordings.transcription_errors import MAX_ANGLE_READ_AS_RADIANS, MIN_LONGEST_DISTANCE_MM
 
 MAX_SAMPLE_ROWS = 400
@@ -52,6 +54,11 @@ def unrecognised_header_sentence(sheet: TableSheet, is_readable_with: Callable[[
         return "contains no row with two or more numbers, and therefore no pointing"
     if header_row is not None and (unit_fault := unknown_unit_sentence(header_row.fields)):
         return unit_fault
+    roles = {column.role for column in header_columns(header_row.fields)} if header_row is not None else set[str]()
+    if {*COORDINATE_ROLES} <= roles and roles.isdisjoint(("station", "target")):
+        n_positions = sum(not row.is_comment and row.n_numeric_fields > 2 for row in sheet.rows)
+        positions = f"this is a table of {n_positions} positions without point names, {MOVING_TARGET_TEXT}"
+        return f"{positions}; {STATION_OF_POSITIONS_ADVICE}"
     n_columns = max(map(len, data_rows))
     has_header = header_row is not None and len(header_row.fields) == n_columns
     header_fields = header_row.fields if header_row is not None and has_header else ("",) * n_columns

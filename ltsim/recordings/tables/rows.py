@@ -18,11 +18,11 @@ from ltsim.recordings.spreadsheets.header import (
     has_named_coordinates,
     header_columns,
     is_header,
-    require_readable_units,
     title_role,
     title_words_and_unit,
 )
 from ltsim.recordings.spreadsheets.sheets import SheetRow, TableSheet
+from ltsim.recordings.spreadsheets.title_units import require_readable_units
 from ltsim.recordings.spreadsheets.title_words import SUMMARY_ROW_FIRST_WORDS
 from ltsim.recordings.tables.angle_part_columns import N_ROWS_TESTED_FOR_ANGLE_PARTS, with_untitled_angle_parts
 from ltsim.recordings.tables.blocks import StationContext
