@@ -32,7 +32,7 @@ from ltsim.measurands.inputs import (
     REFERENCE_LENGTHS_SOURCE_NAME,
     observation_uncertainty_sources,
 )
-from ltsim.recordings.coordinates import EpochCoordinates
+from ltsim.recordings.epoch_coordinates import EpochCoordinates
 from ltsim.recordings.references import EXPANSION_ERROR_PREFIX
 from ltsim.recordings.result_file import ResultSource
 from ltsim.recordings.setup import LengthGauge

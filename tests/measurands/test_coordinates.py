@@ -17,7 +17,8 @@ from ltsim.core.randomness import random_stream
 from ltsim.geometry.rigid import rigid_motion_jacobian
 from ltsim.measurands.comparison import Comparison
 from ltsim.measurands.epochs import compare_coordinates
-from ltsim.recordings.coordinates import EpochCoordinates, read_coordinates
+from ltsim.recordings.coordinates import read_coordinates
+from ltsim.recordings.epoch_coordinates import EpochCoordinates
 from ltsim.recordings.result_file import read_result
 from tests.networks import network as small_network
 
