@@ -15,6 +15,7 @@ from typing import Self
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.coordinate_uncertainty import point_columns
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
 from ltsim.physics.effects.linear_effect import LinearEffect
@@ -211,10 +212,17 @@ class ResidualSpace:
 
     def target_shifts(self, design_columns: Floats) -> Floats:
         """Shifts (T, 3) [m] of T adjusted targets by a whitened change `design_columns` (m,) of the m equations."""
+        return self.point_shifts(design_columns)[: len(self.adjustment.recording.targets)]
+
+    def point_shifts(self, design_columns: Floats) -> Floats:
+        """Shifts (T + S, 3) [m] of T adjusted targets and S stations by a whitened change of the m equations.
+
+        `design_columns` (m,) is the change.
+        """
         adjustment = self.adjustment
         normal_side = (adjustment.solution.system.design.T @ design_columns)[:, None]
         change: Floats = adjustment.factorised_normals.multiply_by_covariance(normal_side)[:, 0][
-            adjustment.problem.unknowns.target_columns
+            point_columns(adjustment, with_stations=True)
         ]
         return change
 

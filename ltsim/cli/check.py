@@ -23,7 +23,7 @@ from ltsim.simulation.builtin import builtin_names
 if TYPE_CHECKING:
     from ltsim.adjustment.fieldcheck import Check, CheckItem
     from ltsim.measurands.spec import Tasks
-    from ltsim.recordings.coordinates import EpochCoordinates
+    from ltsim.recordings.epoch_coordinates import EpochCoordinates
     from ltsim.recordings.recording import Recording
 
 TwoFaceLimitOption = Annotated[
@@ -253,13 +253,16 @@ def compare(
     return int(bool(comparison.moved_points))
 
 
-def _coordinates_or_path(path: Path, terminal: Terminal) -> EpochCoordinates | Path:
-    """Coordinates read from a list of coordinates, with its notes and size printed; otherwise the path itself."""
+def _coordinates_or_path(path: Path, terminal: Terminal, *, allows_fixed: bool = False) -> EpochCoordinates | Path:
+    """Coordinates read from a list of coordinates, with its notes and size printed; otherwise the path itself.
+
+    With `allows_fixed`, coordinates that define the frame may have the variance 0.
+    """
     from ltsim.recordings.coordinates import is_coordinate_file, read_coordinates
 
     if not is_coordinate_file(path):
         return path
-    coordinates = read_coordinates(path)
+    coordinates = read_coordinates(path, allows_fixed=allows_fixed)
     terminal.print_notes(coordinates.notes)
     terminal.print_text(f"{coordinates.title}: {len(coordinates.names)} points along {', '.join(coordinates.axes)}")
     return coordinates
@@ -342,5 +345,5 @@ def _data_of_tasks(
     if not source_path.exists():
         raise InputError(f"{file}: source is {source_path}, which is neither a recording nor a scenario")
     if is_coordinate_file(source_path):
-        return _coordinates_or_path(source_path, terminal)
+        return _coordinates_or_path(source_path, terminal, allows_fixed=True)
     return ReadingOptions().read_and_report(source_path, terminal)

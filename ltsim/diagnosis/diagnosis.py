@@ -39,7 +39,7 @@ from ltsim.recordings.result_file import ResultFile
 
 @dataclass(frozen=True)
 class AveragedTargets(ValueEquality):
-    """Coordinates of T targets, averaged over the possible causes of the misfit of a recording (explanations)."""
+    """Coordinates of T targets and S stations, averaged over the possible causes of the misfit (explanations)."""
 
     points: Floats
     """Averaged coordinates (T, 3) [m] of T targets."""
@@ -51,6 +51,11 @@ class AveragedTargets(ValueEquality):
     causes.
 
     The squares of these differences are part of the covariance.
+    """
+    station_positions: Floats
+    """Averaged positions (S, 3) [m] of S stations."""
+    weighted_station_deviations_by_explanation: Floats
+    """Weighted differences (k, S, 3) [m] of the positions of S stations from their mean, for each of k possible causes.
     """
 
 

@@ -32,7 +32,7 @@ from ltsim.measurands.uncertainty import (
     Uncertainty,
     evaluate_conformity,
 )
-from ltsim.recordings.coordinates import EpochCoordinates
+from ltsim.recordings.epoch_coordinates import EpochCoordinates
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import ResultSource
 

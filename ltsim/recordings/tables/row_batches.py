@@ -10,6 +10,7 @@ import numpy as np
 
 from ltsim.recordings.files import MAX_CELL_TEXT_LENGTH, SourceLocation, safe_excerpt
 from ltsim.recordings.spreadsheets import cells
+from ltsim.recordings.spreadsheets.angle_cells import parse_packed_degrees
 from ltsim.recordings.spreadsheets.header import (
     DISTANCE_ROLES,
     HORIZONTAL_ROLES,
@@ -157,7 +158,7 @@ class RowBatchReader:
         """Number in one cell, as text of its decimal digits; raises RecordError."""
         packed = column.unit == "dms"
         exact_value = (
-            cells.parse_packed_degrees(text)
+            parse_packed_degrees(text)
             if packed
             else cells.parse_number_or_angle(text, self.sheet.thousands_separator)
         )
