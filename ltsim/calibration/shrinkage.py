@@ -206,7 +206,11 @@ class ScaledPrior:
             need = f"the readings require parameters {factor} as large as the declared prior"
             return f"{need}{why}; no correction is applied, because {cause}"
         if not self._is_scale_estimated:
-            return f"the readings contradict the declared priors; the correction uses sigmas {factor} as large {limits}"
+            if low <= self._scales[0]:
+                return f"the readings contain no errors of the instrument above {high:.2g} times their prior sigmas"
+            size = "larger" if self.most_likely_scale > 1.0 else "smaller"
+            usual = f"the errors of the instrument are {size} than their prior sigmas"
+            return f"{usual}: prior sigmas {factor} as large are most likely {limits}"
         share = self._strength / (self._strength + self.most_likely_scale**-2)
         phrase = f"more than half of the estimate is applied in {int(np.sum(share > 0.5))} of {len(share)} combinations"
         return f"without a prior, {factor} the usual prior sigmas are most likely {limits}; {phrase}"

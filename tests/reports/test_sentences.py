@@ -98,7 +98,10 @@ def test_a_wrong_reflector_constant_has_the_action_of_its_cause() -> None:
     assert inspection_action(finding("reflector-constant", "range-step")) == (
         "Check the SMR and the distance constant at S3; correct the wrong one."
     )
-    assert inspection_action(finding("station-settling", "range-step")).startswith("Inspect S3 for the cause: ")
+    assert inspection_action(finding("station-settling", "range-step")) == (
+        "Let the tripod of S3 settle, and measure this set-up again."
+    )
+    assert inspection_action(finding("turbulence", "range-step")).startswith("Inspect S3 for the cause: ")
 
 
 def prose(section: Section) -> list[str]:

@@ -302,8 +302,13 @@ def _next_actions(content: Calibration, *, is_accepted: bool) -> list[str]:
     measurements = dict.fromkeys(e.measurement for e in content.undetermined if e.measurement)
     actions += [f"To determine further parameters: {measurement}." for measurement in list(measurements)[:3]]
     if content.parameters and is_accepted and not actions:
-        actions.append("Apply the calibration to further readings with ltsim correct.")
+        actions += ["Apply the calibration to further readings with ltsim correct."] * _applies_correction(content)
     return actions
+
+
+def _applies_correction(content: Calibration) -> bool:
+    """True if the calibration corrects further readings by at least one instrument parameter."""
+    return any(p.value if p.applied_value is None else p.applied_value for p in content.parameters)
 
 
 def _parameter_blocks(content: Calibration, truth: Truth | None) -> list[Block]:
@@ -316,6 +321,7 @@ def _parameter_blocks(content: Calibration, truth: Truth | None) -> list[Block]:
     text = "Corrections (true value minus reading) with 95 % intervals, in units of the prior standard deviation."
     note = CORRECTIONS_NOTE
     if any(p.applied_value is not None for p in rows):
+        rows = tuple(p.model_copy(update={"applied_value": p.value}) if p.applied_value is None else p for p in rows)
         note += " Applied: correction with the prior scaled to the readings, and 0 for parameters that are not applied."
     undetermined = [
         n for n, p in zip(names, rows, strict=True) if not p.held and p.variance_reduction < MAX_UNINFORMATIVE_GAIN
