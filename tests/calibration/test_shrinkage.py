@@ -244,3 +244,11 @@ def test_a_scale_beyond_the_prior_is_not_followed_where_the_readings_contradict_
     assert "larger than their prior sigmas: prior sigmas 5.6 times as large are most likely" in followed.scale_sentence
     assert not bent.shrunk_correction(by_unit)[0].any()
     assert "contradict each other by 2.5 times their noise" in bent.scale_sentence
+
+
+def test_an_instrument_without_errors_contradicts_no_prior(evidence: tuple[Floats, Floats]) -> None:
+    """Sigmas 0.0001 times as large as declared, and a contradiction, were reported for a clean instrument."""
+    information, _ = evidence
+    clean = ScaledPrior(information, np.zeros(16))
+    assert clean.scale_sentence.startswith("the readings contain no errors of the instrument above ")
+    assert clean.scale_sentence.endswith(" times their prior sigmas")

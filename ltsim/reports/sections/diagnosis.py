@@ -69,7 +69,7 @@ MIN_REPORTED_TARGET_ERROR_UM = 0.1
 """Smallest error of targets [um] for which an undetectable effect is listed; smaller errors are negligible."""
 MIN_ADVISED_ALTERNATIVE_PROBABILITY = 0.05
 """Smallest probability of an alternative cause for which a measurement to exclude it is advised; by convention 5 %."""
-MAX_INSPECTION_ACTIONS = 2
+MAX_ACTIONS_BEFORE_USE = 2
 """Largest number of next actions in addition to the use of the coordinates."""
 PLACE_COVARIATE = "place"
 """Covariate of effects that differ between stations or targets, which the text of a scope names anyway."""
@@ -155,20 +155,18 @@ def _next_actions(content: Diagnosis) -> list[str]:
     """Next actions: a measurement that separates alternative causes, parts to inspect, coordinates to use."""
     if not content.findings:
         return []
-    separating_measurements = [
-        capitalised_sentence(finding.separate_by)
-        for finding in content.findings
-        if finding.separate_by and _has_probable_alternative(finding)
-    ]
-    inspections = [inspection_action(finding) for finding in content.findings]
+    actions: list[str] = []
+    for finding in content.findings:  # in their order, so that the actions begin with those of the first finding
+        is_ambiguous = finding.separate_by and _has_probable_alternative(finding)
+        actions += [capitalised_sentence(finding.separate_by)] if is_ambiguous else []
+        actions.append(inspection_action(finding))
     use_sentence = "Use the coordinates in targets.csv, which account for the findings."
     moved_targets = [
         name for finding in content.findings if finding.effect == TargetMoved.name for name in finding.where.targets
     ]
     use_sentence += f" {moved_coordinates_sentence(moved_targets)}" if moved_targets else ""
     return [
-        *separating_measurements[:1],
-        *dict.fromkeys(inspections[: MAX_INSPECTION_ACTIONS - len(separating_measurements[:1])]),
+        *list(dict.fromkeys(actions))[:MAX_ACTIONS_BEFORE_USE],
         use_sentence,
     ]
 
