@@ -258,6 +258,11 @@ class PlanFile(TomlSection):
             update={"stations": self.stations.model_copy(update={"min_stations_per_target": min_stations})}
         )
 
+    def without_min_stations_per_target(self) -> PlanFile:
+        """Copy of the plan file in which the default number of stations that must see each reflector applies."""
+        other_settings = self.stations.model_dump(exclude={"min_stations_per_target"})
+        return self.model_copy(update={"stations": StationSettings.model_validate(other_settings)})
+
     @property
     def gives_min_stations_per_target(self) -> bool:
         """True if the plan file sets how many stations must see each reflector; False if the default applies."""

@@ -298,7 +298,8 @@ def _plan_with_moved_stations(
     wrong = [rule for rule in site.broken_position_rules(survey) if {*rule.stations} & {*new_positions}]
     if wrong:
         raise InputError(f"{option_text('move')}: {broken_rules_text(wrong)}")
-    return evaluate_plan(file, scenario, survey.replace(is_visible=site.is_visible(position)))
+    network = evaluate_plan(file, scenario, survey.replace(is_visible=site.is_visible(position)))
+    return replace(network, plan_file=plan)
 
 
 def _position_numbers(name: str, position: object) -> Floats:

@@ -178,6 +178,22 @@ def test_without_works_for_two_stations_and_prints_the_command_that_follows(
     assert content["summary"].rstrip(".") == others[0].verdict
 
 
+def test_the_number_of_stations_per_target_that_a_search_chose_is_no_rule_of_the_user(
+    hall: Path, tmp_path: Path
+) -> None:
+    text = PLAN.replace("min_stations_per_target = 1", "")
+    assert text != PLAN
+    hall.write_text(text)
+    assert run(["plan", str(hall), "--out", str(tmp_path / "made"), "--jobs", "1", "--starts", "1", "--quiet"]) == 0
+    for folder in (tmp_path / "made", tmp_path / "moved"):
+        if folder.name == "moved":
+            x, y, *_ = json.loads((tmp_path / "made" / "plan.json").read_text())["stations"][0]["position_mm"]
+            move = f"--move=S1={x},{y}"
+            assert run(["plan", str(tmp_path / "made"), move, "--out", str(folder), "--quiet"]) == 0
+        assert not load_plan_and_scenario(folder)[0].gives_min_stations_per_target
+        assert not any("min_stations_per_target" in one.verdict for one in lt.station_alternatives(folder, "S1"))
+
+
 def test_a_tolerance_that_is_missed_by_a_little_is_not_kept_and_looks_so() -> None:
     demands = PointTolerances({"A": 1e-4})
     missed = ToleranceCheck("", demands.tolerance_by_point_m, {"A": 1.004e-4}, 1.004, "A")

@@ -86,10 +86,10 @@ LIMITS_KNOWN = {
 
 def test_no_limit_of_another_instrument_is_kept() -> None:
     """A preset took the 20 m and the travel of the paper's tracker without a word."""
-    with pytest.raises(InputError, match=r"the range of elevations; set limits.*limits.range_max_mm"):
+    with pytest.raises(InputError, match=r"and ranges; set limits.*limits.range_max_mm in the table"):
         lt.scenario("paper-workshop", {"instrument.preset": "faro-vantage"})
     some = {key: x for key, x in LIMITS_KNOWN.items() if "range_max" not in key}
-    with pytest.raises(InputError, match=r"set limits\.range_max_mm$"):
+    with pytest.raises(InputError, match=r"set limits\.range_max_mm in the table \[instrument\]$"):
         lt.scenario("paper-workshop", {"instrument.preset": "faro-vantage", **some})
 
 

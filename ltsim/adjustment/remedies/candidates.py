@@ -89,7 +89,7 @@ ADVICE_SENTENCES = {
     "left open": "; no tested measurement also separates it from {others}",
     "undecided": "no tested measurement separates {first} from {others} (expected chi-square difference {then}, "
     "{needed:.0f} needed); an independent measurement of the cause would separate them",
-    "cause": "an independent measurement of its cause",
+    "cause": "an independent measurement of the cause",
     "determined": "{do} (information on this combination rises from {now:.0f} % to {then:.0f} %)",
     "network method": "calibrate with the method network: it determines this combination from the same recording",
     "determined already": "{do} (information on this combination is {then:.0f} %)",

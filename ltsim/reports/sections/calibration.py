@@ -275,10 +275,9 @@ def _reference_value_blocks(content: Calibration) -> list[TableBlock]:
     for entry in content.reference_values:
         largest_w[entry.kind, entry.name] = max(largest_w.get((entry.kind, entry.name), 0.0), entry.w)
     sorted_values = sorted(content.reference_values, key=lambda e: (not e.excluded, -largest_w[e.kind, e.name]))
-    fields = ("kind", "name", "component", "residual", "error+-sigma_error", "minimal_detectable_error=detectable")
-    return entries_table_blocks(
-        "Fit of the reference values", sorted_values, *fields, "unit", "redundancy", "w", "excluded", note=note
-    )
+    fields = "kind name component residual error+-sigma_error minimal_detectable_error=detectable unit redundancy w"
+    names = [*fields.split(), "excluded"]
+    return entries_table_blocks("Fit of the reference values", sorted_values, *names, note=note)
 
 
 def _next_actions(content: Calibration, *, is_accepted: bool) -> list[str]:
@@ -301,7 +300,7 @@ def _next_actions(content: Calibration, *, is_accepted: bool) -> list[str]:
         actions.append(f"If the noise is not known, estimate it from the data: {option_text('noise_from_data=True')}.")
     measurements = dict.fromkeys(e.measurement for e in content.undetermined if e.measurement)
     actions += [f"To determine further parameters: {measurement}." for measurement in list(measurements)[:3]]
-    if content.parameters and is_accepted and not actions:
+    if content.parameters and is_accepted and not actions and content.applied_values.any():
         actions.append("Apply the calibration to further readings with ltsim correct.")
     return actions
 
@@ -316,6 +315,7 @@ def _parameter_blocks(content: Calibration, truth: Truth | None) -> list[Block]:
     text = "Corrections (true value minus reading) with 95 % intervals, in units of the prior standard deviation."
     note = CORRECTIONS_NOTE
     if any(p.applied_value is not None for p in rows):
+        rows = tuple(p.model_copy(update={"applied_value": p.value} if p.applied_value is None else {}) for p in rows)
         note += " Applied: correction with the prior scaled to the readings, and 0 for parameters that are not applied."
     undetermined = [
         n for n, p in zip(names, rows, strict=True) if not p.held and p.variance_reduction < MAX_UNINFORMATIVE_GAIN

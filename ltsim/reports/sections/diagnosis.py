@@ -23,7 +23,12 @@ from ltsim.diagnosis.schema import (
     FindingScope,
     Misfit,
 )
-from ltsim.diagnosis.sentences import effect_title_in_sentence, finding_title, significant_instrument_constant_texts
+from ltsim.diagnosis.sentences import (
+    effect_title_in_sentence,
+    finding_title,
+    percent_text,
+    significant_instrument_constant_texts,
+)
 from ltsim.physics.effects import effect_title, parameter_text
 from ltsim.physics.effects.target_moved import TargetMoved, moved_coordinates_sentence
 from ltsim.recordings.result_file import require_same_recording
@@ -64,8 +69,10 @@ MIN_REPORTED_TARGET_ERROR_UM = 0.1
 """Smallest error of targets [um] for which an undetectable effect is listed; smaller errors are negligible."""
 MIN_ADVISED_ALTERNATIVE_PROBABILITY = 0.05
 """Smallest probability of an alternative cause for which a measurement to exclude it is advised; by convention 5 %."""
-MAX_INSPECTION_ACTIONS = 2
+MAX_ACTIONS_BEFORE_USE = 2
 """Largest number of next actions in addition to the use of the coordinates."""
+PLACE_COVARIATE = "place"
+"""Covariate of effects that differ between stations or targets, which the text of a scope names anyway."""
 MIN_CURVE_POINTS = 3
 """Smallest number of points of an estimated curve that is drawn over its covariate."""
 
@@ -148,20 +155,18 @@ def _next_actions(content: Diagnosis) -> list[str]:
     """Next actions: a measurement that separates alternative causes, parts to inspect, coordinates to use."""
     if not content.findings:
         return []
-    separating_measurements = [
-        capitalised_sentence(finding.separate_by)
-        for finding in content.findings
-        if finding.separate_by and _has_probable_alternative(finding)
-    ]
-    inspections = [inspection_action(finding) for finding in content.findings]
+    actions: list[str] = []
+    for finding in content.findings:  # in their order, so that the actions begin with those of the first finding
+        is_ambiguous = finding.separate_by and _has_probable_alternative(finding)
+        actions += [capitalised_sentence(finding.separate_by)] if is_ambiguous else []
+        actions.append(inspection_action(finding))
     use_sentence = "Use the coordinates in targets.csv, which account for the findings."
     moved_targets = [
         name for finding in content.findings if finding.effect == TargetMoved.name for name in finding.where.targets
     ]
     use_sentence += f" {moved_coordinates_sentence(moved_targets)}" if moved_targets else ""
     return [
-        *separating_measurements[:1],
-        *dict.fromkeys(inspections[: MAX_INSPECTION_ACTIONS - len(separating_measurements[:1])]),
+        *list(dict.fromkeys(actions))[:MAX_ACTIONS_BEFORE_USE],
         use_sentence,
     ]
 
@@ -258,8 +263,8 @@ def _finding_blocks(
         "chi2: its fall was not computed, because every compared adjustment contains this effect"
         if evidence.chi2_drop >= INFINITE_GAIN_SUBSTITUTE
         else f"chi2 falls by {number_text(evidence.chi2_drop)} for {count_text(evidence.parameters, 'parameter')}",
-        f"p, corrected for the search: {p_value_text(evidence.p_value)}",
-        f"probability: {100 * evidence.probability:.3g} %",
+        *([] if evidence.p_value is None else [f"p, corrected for the search: {p_value_text(evidence.p_value)}"]),
+        f"probability: {percent_text(evidence.probability)}",
         *(f"alternative: {effect_title_in_sentence(e.effect)}, {100 * e.probability:.2g} %" for e in others),
     ]
     blocks += entries_table_blocks(
@@ -346,7 +351,7 @@ def _finding_scope_text(scope: FindingScope) -> str:
             ("of instrument", scope.instruments),
             ("at station", scope.stations),
             ("at target", scope.targets),
-            ("along", scope.covariates),
+            ("along", [name for name in scope.covariates if name != PLACE_COVARIATE]),
         )
         if names
     ]
