@@ -23,7 +23,11 @@ from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rigid import align_rigidly, largest_alignment_distance
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.transcription_errors import MAX_COMPARED_TARGETS, target_points_by_station
+from ltsim.recordings.transcription_errors import (
+    MAX_COMPARED_TARGETS,
+    MIN_RELATIVE_DISAGREEMENT_OF_WRONG_LENGTHS,
+    target_points_by_station,
+)
 
 MIN_POINTS_FOR_EXCHANGE = 4
 """Smallest number of reference points for a test whether two points are exchanged. With three points an exchange always
@@ -35,12 +39,9 @@ largest relative difference between the scale errors that single lengths show, i
 """
 
 
-MIN_LARGE_SCALE_ERROR = 0.01
-"""Smallest scale error of all distances that is sought in the lengths before any fit. The fit of a network with a
-smaller scale error converges, and the error is then tested with all others."""
-MIN_COMPARED_LENGTH = 0.1
-"""Smallest length [m] whose ratio to its measured value is computed: errors of 20 um then change the ratio by 2 % of
-`MIN_LARGE_SCALE_ERROR`."""
+MIN_COMPARED_LENGTH = MAX_TRACKER_ERROR / MIN_RELATIVE_DISAGREEMENT_OF_WRONG_LENGTHS
+"""Smallest length [m] whose ratio to its measured value is computed: 0.5 m. Errors of a tracker then change the ratio
+by less than `MIN_RELATIVE_DISAGREEMENT_OF_WRONG_LENGTHS`, above which a scale error is sought before any fit."""
 
 
 def reference_point_exchanges(recording: Recording) -> list[CauseHypothesis]:
@@ -139,14 +140,15 @@ def common_scale_error(
     """Hypothesis of a large scale error of all distances, and a start state with it; None without such an error.
 
     Each station measures lengths between reference points, and reference lengths. The ratios of measured to declared
-    length must be equal for most lengths, and differ from 1 by more than `MIN_LARGE_SCALE_ERROR`. The start state
-    contains `instrument_parameters`, and the scale error as the parameter of the hypothesis.
+    length must be equal for most lengths, and differ from 1 by more than
+    `MIN_RELATIVE_DISAGREEMENT_OF_WRONG_LENGTHS`. The start state contains `instrument_parameters`, and the scale
+    error as the parameter of the hypothesis.
     """
     ratios = np.array(_length_ratios(recording))
     scale = float(np.median(ratios)) - 1.0 if len(ratios) > 1 else 0.0
     agrees = np.abs(ratios - 1.0 - scale) < MAX_EXCHANGE_MISCLOSURE_RATIO * abs(scale)
     is_common = bool(agrees.sum() > max(1.0, MIN_FAULTY_FRACTION_OF_GROUP * len(ratios)))
-    if not is_common or abs(scale) < MIN_LARGE_SCALE_ERROR:
+    if not is_common or abs(scale) < MIN_RELATIVE_DISAGREEMENT_OF_WRONG_LENGTHS:
         return None
     readings = recording.readings.copy()
     readings[:, 0] /= 1.0 + scale
