@@ -104,7 +104,7 @@ def diagnose(
     Returns
     -------
     Diagnosis
-        Verdict, findings with the largest decrease of chi-square first, misfit without and with the findings, and
+        Verdict, findings (errors of readings before changed noise), misfit without and with the findings, and
         undetectable effects.
 
     Raises

@@ -90,7 +90,7 @@ class Diagnosis(ResultFile):
     global_test: GlobalTest
     """Global test of the agreement of the recording with the ordinary model."""
     findings: tuple[Finding, ...] = ()
-    """Unmodelled causes that explain the misfit, the largest decrease of chi-square first."""
+    """Unmodelled causes that explain the misfit: probable errors of readings first, then changed noise."""
     tests: tuple[CauseTest, ...] = ()
     """Tests as in the results of `adjust` and `check`: simple causes (such as outliers or moved targets) that the
     readings support, and outliers."""

@@ -25,7 +25,7 @@ from ltsim.adjustment.reference_tests import length_sigma
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import names_text, number_text, with_sigma
 from ltsim.core.units import ARCSECOND, MICROMETRE, MICRORADIAN, MILLIMETRE, PPM, SI_PER_UNIT
-from ltsim.physics.effects.air import temperature_errors_text
+from ltsim.physics.effects.scale_causes import has_temperature_cause, temperature_errors_text, unit_error_text
 from ltsim.physics.effects.station_settling import StationSettling
 from ltsim.physics.effects.target_moved import TargetMoved, moved_coordinates_sentence
 from ltsim.physics.laws.variance import shared_errors_sentence
@@ -88,9 +88,29 @@ def _reference_sentence(fit: NetworkFit, hypothesis: CauseHypothesis, rival_name
     verb, them = ("are", "them") if plural else ("is", "it")
     words = CAUSE_PHRASE_BY_REFERENCE_KIND[hypothesis.model_change.reference_value.kind]
     phrase = f"{words} {hypothesis.reference_name_or_sentence} {verb} off by {size_text}"
+    if scale_text := _equivalent_scale_text(fit, hypothesis):
+        return f"{phrase}, or {scale_text}: check both."
     if rival_names:
         return f"{phrase}, or those of {names_text(rival_names)} are wrong: check each."
     return f"{phrase}: check {them}."
+
+
+def _equivalent_scale_text(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
+    """Clause on the scale error of all distances that a wrong reference length may be; empty for other values.
+
+    It is empty too if another length, or two points with reference coordinates, determine the scale.
+    """
+    n_known = sum(fit.recording.target_setup(name).known_mm is not None for name in fit.recording.targets)
+    if hypothesis.acts_on != "length" or fit.recording.gauge.distance or n_known > 1:
+        return ""
+    assert isinstance(hypothesis.model_change, ReferenceOmission)
+    value = hypothesis.model_change.reference_value
+    declared = fit.fit_input.recording.gauge.distance
+    length = next(d.length_mm * MILLIMETRE for d in declared if f"{d.from_}-{d.to}" == value.name)
+    scale = -float(fit.misclosure_of(value)[0]) / length
+    reason = f" ({text})" if (text := unit_error_text(scale)) else ""
+    direction = "long" if scale > 0 else "short"
+    return f"the distances from all stations are {_number_text(abs(scale) / PPM)} ppm too {direction}{reason}"
 
 
 def _sentence_on_other_causes(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
@@ -230,7 +250,10 @@ def _observable_sentence(fit: NetworkFit, hypothesis: CauseHypothesis, estimate:
         values, covariance = fit.estimate_and_covariance(hypothesis)
         cause = offset_cause_text(float(values[0]), float(np.sqrt(covariance[0, 0]))) or cause
     if hypothesis.kind == "scale-error":
-        cause += f" ({temperature_errors_text(number * PPM, is_of_distances=not is_everywhere)})"
+        scale = number * PPM
+        reason = temperature_errors_text(scale, is_of_distances=not is_everywhere)
+        cause = f"{cause} ({reason})" if has_temperature_cause(scale) else "another unit or a wrong factor"
+        cause = unit_error_text(scale) or cause
     return f"{what} are {size_text} too {'long' if number > 0 else 'short'}: {cause}."
 
 

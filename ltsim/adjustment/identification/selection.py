@@ -28,7 +28,6 @@ from ltsim.adjustment.identification.hypothesis import (
 from ltsim.adjustment.identification.hypothesis_library import (
     convention_corrections,
     omissions_of_reference_values,
-    reference_point_exchanges,
 )
 from ltsim.adjustment.identification.motion_refinement import (
     fit_or_none,
@@ -38,6 +37,7 @@ from ltsim.adjustment.identification.motion_refinement import (
     refine_time_constant,
 )
 from ltsim.adjustment.identification.reading_shifts import ReadingShift
+from ltsim.adjustment.identification.reference_geometry import common_scale_error, reference_point_exchanges
 from ltsim.adjustment.identification.screening import MAX_FITTED_HYPOTHESES, screened_hypotheses
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, MIN_LOG_EVIDENCE_GAIN, MIN_REPORTED_PROBABILITY
@@ -272,6 +272,8 @@ def _initial_fit(fit_input: FitInput) -> NetworkFit:
     These errors would distort the network too much for other tests.
     """
     corrections = convention_corrections(fit_input.recording)
+    if not corrections and (scaled_fit := _fit_with_common_scale(fit_input)) is not None:
+        return scaled_fit
     far, count, state = NetworkFit.references_with_large_residuals(fit_input, corrections)
     if any(value.kind == "point" for value in far) and (names := reference_point_exchanges(fit_input.recording)):
         corrections = [*corrections, *names]
@@ -289,6 +291,19 @@ def _initial_fit(fit_input: FitInput) -> NetworkFit:
     if fit is None:
         raise NetworkError("no network fits the observations, because they contradict each other too much")
     return fit
+
+
+def _fit_with_common_scale(fit_input: FitInput) -> NetworkFit | None:
+    """Fit with a scale error of all distances that the lengths show; None without such an error.
+
+    Without this hypothesis, no network fits distances in another unit and reference coordinates.
+    """
+    prior, construction = fit_input.prior, fit_input.construction
+    parameters = (
+        np.zeros((len(fit_input.recording.instruments), construction.n_parameters)) if prior is None else prior.mean
+    )
+    scale_error = common_scale_error(fit_input.recording, parameters)
+    return None if scale_error is None else NetworkFit.from_start(fit_input, scale_error[:1], scale_error[1])
 
 
 def _fit_with_distance_constant(fit_input: FitInput) -> NetworkFit | None:

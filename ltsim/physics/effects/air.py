@@ -1,6 +1,4 @@
-"""Errors of readings from unmeasured properties of the air, and temperature errors that explain a wrong scale.
-
-The errors of readings are for uncertainty budgets of long ranges.
+"""Errors of readings from unmeasured properties of the air, for uncertainty budgets of long ranges.
 
 There are three causes, each an effect of the catalogue:
 
@@ -17,17 +15,13 @@ beam. At 40 m they are 19 um and 110 um. The value across the beam at 40 m is be
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.core.notation import number_text
-from ltsim.core.units import MICROMETRE, PPM
+from ltsim.core.units import MICROMETRE
 from ltsim.physics.effects.air_gradient import AirGradient
 from ltsim.physics.effects.rays import relative_index_decrease_per_kelvin
 from ltsim.physics.effects.station_weather import StationWeather
 from ltsim.physics.effects.turbulence import Turbulence
 from ltsim.recordings.air import AirUncertainty
 from ltsim.scene.sightings import Sightings
-
-STEEL_EXPANSION_PER_KELVIN = 11.5 * PPM
-"""Coefficient of thermal expansion [1/K] of gauge steel, by ISO 3650:1998, section 6.3: (11.5 +- 1.0) ppm/K."""
 
 
 def reading_changes_per_air_sigma(air: AirUncertainty, sightings: Sightings) -> Floats:
@@ -67,16 +61,3 @@ def air_uncertainty_text(air: AirUncertainty, max_range: float) -> str:
         f"at {max_range:.0f} m {air_point_sigma_along_beam(air, max_range) / MICROMETRE:.0f} um along and "
         f"{air_point_sigma_across_beam(air, max_range) / MICROMETRE:.0f} um across the beam)"
     )
-
-
-def temperature_errors_text(scale: float, *, is_of_distances: bool = False) -> str:
-    """Text on the temperature errors that cause a relative difference `scale` of lengths and measured distances.
-
-    With `is_of_distances` only the air is a possible cause, otherwise also the temperature of reference lengths.
-    """
-    air = f"an air temperature that is wrong by {number_text(abs(scale) / relative_index_decrease_per_kelvin(), 2)} K"
-    if is_of_distances:
-        return f"{air} causes such a scale error"
-    steel_error_k = abs(scale) / STEEL_EXPANSION_PER_KELVIN
-    steel = f"a temperature of steel lengths that is wrong by {number_text(steel_error_k, 2)} K"
-    return f"{steel}, or {air}, causes such a difference"

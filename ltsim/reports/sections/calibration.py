@@ -12,6 +12,7 @@ import numpy as np
 from ltsim.adjustment.identification.recommendations import (
     corrected_faults,
     corrections_sentence,
+    modelled_shifts,
     recommendations_for_causes,
 )
 from ltsim.adjustment.remedies.undetermined import MAX_UNINFORMATIVE_GAIN
@@ -172,7 +173,7 @@ def _summary_sentence(content: Calibration, agreement_text: str, targets: Path |
             f"({number_text(distance.before.mean_um)} to "
             f"{number_text(distance.after.mean_um if distance.after else None)} um)"
         )
-        shifts = [test for test in corrected_faults(content.tests) if test.sigma is not None and test.is_in_model]
+        shifts = modelled_shifts(content.tests)
         if shifts:
             sentence += f", by the calibration and the correction of {count_text(len(shifts), 'error')}"
     if content.outliers:
@@ -340,9 +341,7 @@ def _criteria_blocks(content: Calibration) -> list[TableBlock]:
     if content.criteria is None:
         return []
     text = "Disagreement of the stations in distances between reflectors and in their coordinates."
-    if content.method == "adjustment" and any(
-        test.sigma is not None and test.is_in_model for test in corrected_faults(content.tests)
-    ):
+    if content.method == "adjustment" and modelled_shifts(content.tests):
         text += " It is computed from the readings as they are, with the errors that the model corrects."
     table = content.criteria.criteria_table()
     is_compared = any("after" in heading for heading in table.headings)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from ltsim.core.arrays import Floats
-from ltsim.physics.effects.air import temperature_errors_text
 from ltsim.physics.effects.air_gradient import AirGradient
 from ltsim.physics.effects.air_layer import AirLayer
 from ltsim.physics.effects.ciddor import refractive_index_decrease_per_kelvin, refractivity, saturation_vapour_pressure
@@ -203,10 +202,3 @@ def test_turbulence_has_the_size_of_the_shop_it_was_seen_in() -> None:
     np.testing.assert_allclose(spread[:, 1], expected, rtol=0.02)
     np.testing.assert_allclose(spread[:, 2], expected, rtol=0.02)
     np.testing.assert_allclose(spread[:, 0], 2e-6 * np.sqrt(SCENE.range_))
-
-
-def test_a_scale_difference_is_given_in_kelvin_of_steel_and_of_air() -> None:
-    text = temperature_errors_text(-46e-6)
-    assert "steel lengths that is wrong by 4.0 K" in text
-    assert "air temperature that is wrong by 4" in text
-    assert "steel" not in temperature_errors_text(9.5e-6, is_of_distances=True)
