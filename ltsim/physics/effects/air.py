@@ -1,4 +1,4 @@
-"""Errors of readings from unmeasured properties of the air, for uncertainty budgets of long ranges.
+"""Errors of readings from unmeasured properties of the air along the beams, for uncertainty budgets of long ranges.
 
 There are three causes, each an effect of the catalogue:
 
