@@ -34,7 +34,7 @@ def initial_network(recording: Recording) -> tuple[tuple[Floats, Floats, Floats]
     Levels and known points define the frame; without levels and known points, the first station defines it. The station
     that measured most targets with coordinates is joined next. If too few targets were measured with range and both
     angles, beams are intersected and stations resected. A network of ranges alone starts with a closed-form solution.
-    Unconnected targets get the mean position of the other targets, for removal by the caller. Coordinates are in metres.
+    Unconnected targets get the mean position of the others, to be removed by the caller. Coordinates are in metres.
 
     Raises NetworkError if a station is not connected to the others, or if there are elevations alone.
     """
