@@ -170,7 +170,7 @@ def pose_defect_sentence(problem: NetworkProblem, state: NetworkState) -> str:
 
 
 class ScreenedNetwork(NamedTuple):
-    """Start values of a network, and flags of pointings with gross errors and of unconnected targets."""
+    """Start values of a network, with flags that mark pointings with gross errors and unconnected targets."""
 
     recording: Recording
     """Recording without the readings to unconnected targets."""

@@ -214,7 +214,7 @@ def noise_declaration_advice(adjustment: Adjustment, alpha: float = GLOBAL_TEST_
 
 
 def _noisy_targets_sentence(adjustment: Adjustment) -> str:
-    """Sentence, after a space, on noisy targets, whose readings scatter far more than others; or an empty text."""
+    """Sentence, after a space, on noisy targets (with readings that scatter far more than others); or an empty text."""
     named, scatter, rest = adjustment.noisy_targets_and_scatter
     if not len(named):
         return ""

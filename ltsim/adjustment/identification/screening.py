@@ -1,4 +1,4 @@
-"""Screening of all hypotheses on errors by their approximate gain of log evidence relative to a fit.
+"""Approximate test (screening) of all hypotheses on errors of a network, by their gain of log evidence.
 
 Two methods are used, and the larger gain counts. Projection onto the residual space of a fit is exact for small errors.
 A fit to the residuals of one station or target, with the rest of the network unchanged, detects errors of any size
@@ -153,7 +153,7 @@ def _projected_log_evidence_gains(residual_space: ResidualSpace, candidates: Seq
 
 
 def _log_evidence_gain(chi2_drop: float, rank: int) -> float:
-    """Gain of log evidence, without prior, by a shift of `rank` components that decreases chi-square."""
+    """Gain of log evidence, without prior, by a shift of `rank` components that decreases chi-square by `chi2_drop`."""
     return 0.5 * chi2_drop + float(log_occam_factor_of_shift(np.sqrt(chi2_drop), rank)) if rank else -np.inf
 
 
