@@ -131,7 +131,7 @@ def run_searches(
     jobs = min(jobs, len(tasks))
     work = ((problem, task, n, *(callbacks_of_task(n) if jobs == 1 else ())) for n, task in enumerate(tasks))
     try:
-        for number, layout in run_parallel(_layout_of_start, work, jobs, keeps_order=False):
+        for number, layout in run_parallel(_search_result_of_task, work, jobs, keeps_order=False):
             finished += 1
             report_progress(finished / len(tasks))
             best_by_task.pop(number, None)
@@ -146,7 +146,7 @@ def run_searches(
     return layouts, stopped
 
 
-def _layout_of_start(
+def _search_result_of_task(
     problem: PlanningProblem,
     task: SearchTask,
     task_number: int,

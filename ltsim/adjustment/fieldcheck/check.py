@@ -99,7 +99,7 @@ def check(
     full_recording = load_recording(recording)
     full_recording.require_at_most(MAX_ADJUSTED_POINTINGS, MAX_ADJUSTED_TARGETS, "a check")
     identification = identify_causes(full_recording) if len(full_recording.stations) > 1 else None
-    selection = identification if identification is not None and _explains_readings(identification) else None
+    selection = identification if identification is not None and _uses_corrected_readings(identification) else None
     moving = identification.certain_station_motions if identification is not None and selection is None else ()
     causes = () if selection is None else cause_tests(selection)
     corrected = full_recording if selection is None else selection.fit.correct_recording(full_recording)
@@ -144,7 +144,7 @@ def check(
     return result
 
 
-def _explains_readings(selection: CauseSelection) -> bool:
+def _uses_corrected_readings(selection: CauseSelection) -> bool:
     """True if a field check tests set-ups and network with readings that are corrected for the identified causes."""
     return selection.requires_adjustment_with_causes or selection.is_consistent or selection.has_unit_errors
 
@@ -249,7 +249,7 @@ def _gross_and_motion_tests(
     motions: list[StationMotionEffect] = [] if bump is None else [bump]
     designs = [motion.design(setup_model.sightings) for motion in motions]
     remaining = reduce(SetupModel.with_fitted_columns, designs, setup_model)
-    drift_design, zeros = uniform_motion.design(setup_model.sightings), _zero_drift_design(setup_model)
+    drift_design, zeros = uniform_motion.design(setup_model.sightings), _instrument_drift_design(setup_model)
     check_items.append(_drift_item(remaining, test_family, "drift", drift_design, station_drift_sentence))
     if not check_items[-1].passed:
         motions.append(uniform_motion)
@@ -365,7 +365,7 @@ def _bump_item(
     )
 
 
-def _zero_drift_design(setup_model: SetupModel) -> Floats:
+def _instrument_drift_design(setup_model: SetupModel) -> Floats:
     """Changes (n, 3, 2) of the readings of n pointings per unit of two drift rates of the instrument.
 
     These are the rates of the range zero [m/s] and of the vertical index [rad/s].

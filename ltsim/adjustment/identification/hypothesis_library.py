@@ -346,7 +346,7 @@ def reference_point_exchanges(recording: Recording) -> list[CauseHypothesis]:
         there = np.array([setup_by_name[name].known_mm for name in names]) * MILLIMETRE
         miss = largest_alignment_distance(here, there)
         pairs = list(combinations(range(len(names)), 2))
-        swapped = [largest_alignment_distance(here, there[_swapped_order(len(names), *pair)]) for pair in pairs]
+        swapped = [largest_alignment_distance(here, there[_indices_after_swap(len(names), *pair)]) for pair in pairs]
     except NetworkError:
         return []
     best_index = int(np.argmin(swapped))
@@ -362,7 +362,7 @@ def reference_point_exchanges(recording: Recording) -> list[CauseHypothesis]:
     ]
 
 
-def _swapped_order(n_points: int, first_index: int, second_index: int) -> list[int]:
+def _indices_after_swap(n_points: int, first_index: int, second_index: int) -> list[int]:
     """Indices 0 to `n_points` - 1 in ascending order, with `first_index` and `second_index` exchanged."""
     order = list(range(n_points))
     order[first_index], order[second_index] = second_index, first_index

@@ -114,7 +114,7 @@ def diagnosis_section(content: Diagnosis, context: SectionContext) -> Section:
         )
     blocks += _undetectable_tables(content)
     n_open_blocks = len(blocks)
-    blocks += _fit_tables(content)
+    blocks += _misfit_tables(content)
     if after is not None and adjustments is not None:
         blocks += residuals_over_covariates(after)
     for entry in content.instruments:
@@ -353,7 +353,7 @@ def _finding_scope_text(scope: FindingScope) -> str:
     return ", ".join(place_texts) or "everywhere"
 
 
-def _fit_tables(content: Diagnosis) -> list[TableBlock]:
+def _misfit_tables(content: Diagnosis) -> list[TableBlock]:
     """Table of the misfit without and with the findings in the model, with the error of held-out readings."""
     note = (
         "Held-out error: 5-fold cross-validated prediction error, divided by the declared noise (or by the estimated "
