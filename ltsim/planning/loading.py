@@ -232,7 +232,7 @@ def _point_from_table(table: PointList, row: int, path: Path) -> PlanPoint:
     place = dict(zip(("x_mm", "y_mm", "z_mm"), (table.points[row] / MILLIMETRE).round(9).tolist(), strict=True))
     missing = next((column for column, value in place.items() if not math.isfinite(value)), None)
     if missing:
-        raise RecordError("found nothing, expected a number", column=missing, **location)
+        raise RecordError("the value is missing, expected a number", column=missing, **location)
     group = table.additional_columns["group"][row] if "group" in table.additional_columns else ""
     other_fields = {"weight": optional_number("weight", 1.0), "tolerance_mm": optional_number("tolerance_mm", None)}
     try:

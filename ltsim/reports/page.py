@@ -119,7 +119,7 @@ def document_of_folder(
         When there is nothing to report, or a file directly in the folder is malformed.
     """
     if not folder.is_dir():
-        raise RecordError("this folder does not exist; give a folder that a command wrote", file=folder)
+        raise RecordError("the folder does not exist; give a folder that a command wrote", file=folder)
     page_parts = _page_parts(folder, recording)
     sections = [replace(made, folder=part.folder.name) for part, made in _page_parts_with_sections(page_parts, folder)]
     sections.sort(key=lambda made: made.kind == UNREADABLE_SECTION_KIND)

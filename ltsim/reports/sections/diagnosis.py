@@ -238,7 +238,7 @@ def _finding_blocks(
     name = finding_title(finding)
     sentence = finding.sentence or f"{name} {_finding_scope_text(finding.where)}"
     separation_sentence = (
-        f" To separate it from the alternatives: {finding.separate_by.rstrip('.')}." if finding.separate_by else ""
+        f" To separate the finding from its rivals: {finding.separate_by.rstrip('.')}." if finding.separate_by else ""
     )
     formula_is_new = finding.formula not in finding.sentence
     formula_sentence = f" Proposed formula: {finding.formula}." if finding.formula and formula_is_new else ""
@@ -378,7 +378,7 @@ def _undetectable_tables(content: Diagnosis) -> list[TableBlock]:
     )
     cures = " or ".join(dict.fromkeys(u.cure for u in largest_first if u.cure))
     note = "Poses, targets and instrument constants absorb these effects at a plausible worst-case size."
-    note += f" To detect them: {cures}." if cures else ""
+    note += f" Measurement that would detect these effects: {cures}." if cures else ""
     return table_blocks("Undetectable in this recording", table, note=note)
 
 
