@@ -155,7 +155,7 @@ def _undetermined_entries(
     *,
     recommend_measurements: bool,
 ) -> tuple[UndeterminedEntry, ...]:
-    """Entries of the combinations of parameters that the distances do not determine.
+    """Result entries of the combinations of parameters that the measured distances do not determine.
 
     With `recommend_measurements` the entries name the measurement that would determine the combination.
     """

@@ -214,7 +214,7 @@ def _solution_estimate(
     n_iterations: int,
     is_converged: bool,
 ) -> DistanceEstimate:
-    """Estimate with its covariance from the solution of an iteration.
+    """Parameters estimated from distances, with their covariance, from the solution of an iteration.
 
     `solution` contains the unknowns, the estimated combinations (unknowns, combinations), and the combinations fixed at
     zero.

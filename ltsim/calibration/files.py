@@ -20,7 +20,7 @@ CalibrationSource = Calibration | str | Path
 
 
 def write_calibration(calibration: Calibration, folder: Path) -> Calibration:
-    """Writing of a calibration and its tables to a folder; returns the calibration with hashes of the files.
+    """Writing of a calibration and its tables to a folder; returns the calibration with hashes of these files.
 
     The files are `calibration.json`, `targets.csv`, and for a network the residuals and the covariance.
 

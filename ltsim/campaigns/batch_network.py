@@ -111,7 +111,7 @@ class BatchNetwork(NominalNetwork):
 
     @cached_property
     def _first_step_matrices(self) -> tuple[Floats, Floats, Floats]:
-        """Matrices of the first step from the nominal unknowns, and matrix of the readings predicted after this step.
+        """Matrices of the first Newton step of an adjustment, and matrix of the readings predicted after this step.
 
         The step is the first matrix times the reading deviations, plus the second times the residuals of all other
         observations. The third matrix, (readings, unknowns), does not contain effects, because their changes are

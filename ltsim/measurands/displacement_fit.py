@@ -53,7 +53,7 @@ class WhitenedDifferences:
         return coordinate_indices(points, self.n_axes)
 
     def blocks(self, columns: Floats) -> Floats:
-        """Copy of the array `columns` (m, N axes) as one block for each of N points, shape (N, axes, m)."""
+        """Columns (m, N axes) of a design matrix, rearranged as one block for each of N points, shape (N, axes, m)."""
         return columns.T.reshape(-1, self.n_axes, len(columns))
 
     def fit(self, moved: Sequence[int]) -> "DisplacementFit":

@@ -153,7 +153,7 @@ def _search_result_of_task(
     report_progress: Callable[[float], None] = no_progress,
     store_layout: Callable[[StationLayout], None] = no_progress,
 ) -> tuple[int, ObjectiveAndSurvey | None]:
-    """Task number, and the pair of objective and layout at the end of the search for this task.
+    """Number of a search task, and the pair of objective and layout at the end of its search.
 
     The pair is None if the search finds no layout that meets the rules of the plan, or none that determines all
     unknowns. `report_progress` is called with the finished fraction of the search, `store_layout` with each better
