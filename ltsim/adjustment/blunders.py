@@ -219,7 +219,7 @@ def correct_units(recording: Recording) -> tuple[Recording, list[IdentifiedBlund
         if more than `MAX_COMPARED_STATIONS` stations differ.
     """
     recording, findings = _correct_face_units(recording)
-    suspects = np.flatnonzero(_cloud_misfits(recording) > MIN_STATION_MISFIT_OF_WRONG_UNIT)
+    suspects = np.flatnonzero(_station_point_misfits(recording) > MIN_STATION_MISFIT_OF_WRONG_UNIT)
     if len(recording.stations) == 2:
         return recording, [*findings, *(_mirror_image_blunders(recording) if len(suspects) else ())]
     if len(suspects) > MAX_COMPARED_STATIONS:
@@ -230,7 +230,7 @@ def correct_units(recording: Recording) -> tuple[Recording, list[IdentifiedBlund
             readings = recording.readings.copy()
             readings[rows] = effect.transcription_error.without_error(readings[rows])
             corrected = recording.with_readings(readings)
-            if _cloud_misfits(corrected, [s])[s] < MIN_STATION_MISFIT_OF_WRONG_UNIT:
+            if _station_point_misfits(corrected, [s])[s] < MIN_STATION_MISFIT_OF_WRONG_UNIT:
                 moved = from_polar(readings[rows]) - from_polar(recording.readings[rows])
                 size = float(np.nanmax(np.linalg.norm(moved, axis=1)))
                 sentence = f"Station {name} was recorded with {effect.transcription_error.description}."
@@ -262,7 +262,7 @@ def _mirror_image_blunders(recording: Recording) -> list[IdentifiedBlunder]:
     readings = recording.readings.copy()
     second_station_rows = np.flatnonzero(recording.station == 1)
     readings[second_station_rows, 1] *= -1.0
-    if not _cloud_misfits(recording.with_readings(readings))[1] < MIN_STATION_MISFIT_OF_WRONG_UNIT:
+    if not _station_point_misfits(recording.with_readings(readings))[1] < MIN_STATION_MISFIT_OF_WRONG_UNIT:
         return []
     a, b = recording.stations
     sentence = f"Stations {a} and {b} measured mirror images: the azimuths of one of them are clockwise."
@@ -301,7 +301,7 @@ def correct_faces(recording: Recording) -> tuple[Recording, list[IdentifiedBlund
     return recording.replace(face=np.where(wrong, apparent_faces, recording.face)), findings
 
 
-def _cloud_misfits(recording: Recording, stations: Collection[int] | None = None) -> Floats:
+def _station_point_misfits(recording: Recording, stations: Collection[int] | None = None) -> Floats:
     """Misfits (S,) [m] of the points of S stations to those of other stations; 0 without enough common targets.
 
     The misfit of a pair of stations is the median distance of their common points after a rigid alignment. The misfit

@@ -222,7 +222,7 @@ def _with_estimated_noise(
     """
     if noise_grouping is None:
         return problem, solution, ()
-    find = snoop_readings if robust else _solve
+    find = snoop_readings if robust else _solve_without_outlier_search
     return estimate_variance_components(problem, solution, noise_grouping, find, full_problem.is_used_reading)
 
 
@@ -255,7 +255,9 @@ def _require_fixed_smr_offsets(problem: NetworkProblem) -> None:
         )
 
 
-def _solve(problem: NetworkProblem, start_state: NetworkState) -> tuple[NetworkProblem, Solution[NetworkState]]:
+def _solve_without_outlier_search(
+    problem: NetworkProblem, start_state: NetworkState
+) -> tuple[NetworkProblem, Solution[NetworkState]]:
     """The unchanged problem and its least-squares solution, without rejection of outliers."""
     return problem, solve(problem, start_state)
 

@@ -183,10 +183,11 @@ class ResidualSpace:
 
     @cached_property
     def _centring_normals(self) -> list[tuple[Ints, Ints, Floats, Floats]]:
-        """Pointing indices (r,), occupation indices (r,), slopes and normal matrices, for each kind of centring errors.
+        """Indices (r,) of pointings and occupations, slopes and normal matrices, for each kind of centring errors.
 
-        The slopes (r, 3, 3) are the whitened changes of the readings per unit displacement of the reflector. The normal
-        matrices (k, 3, 3) of k occupations include the prior of the displacements.
+        An occupation is one placement of a reflector on a target. The slopes (r, 3, 3) are the whitened changes of the
+        readings per unit displacement of the reflector. The normal matrices (k, 3, 3) of k occupations include the
+        prior of the displacements.
         """
         entries = []
         for errors in self.adjustment.problem.model.centring_errors:
@@ -199,13 +200,13 @@ class ResidualSpace:
         return entries
 
     def with_design_columns(self, design_columns: Floats) -> ResidualSpace:
-        """Copy whose projector contains the q `design_columns` (m, q) of further unknowns too."""
+        """Residual space after the estimation of q further unknowns, which have the `design_columns` (m, q)."""
         basis = self._projected_basis(design_columns)
         residual = self.whitened_residuals - basis @ (basis.T @ self.whitened_residuals)
         return ResidualSpace(self.projector.with_removed_columns(basis), residual, self.adjustment)
 
     def with_effects(self, effects: Sequence[LinearEffect]) -> ResidualSpace:
-        """Copy whose projector contains the parameters of `effects` as further unknowns too."""
+        """Residual space after the estimation of the parameters of `effects` as further unknowns."""
         if not effects:
             return self
         return self.with_design_columns(np.hstack([self.whitened_design(effect) for effect in effects]))

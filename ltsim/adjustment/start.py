@@ -312,13 +312,13 @@ class NetworkInitialiser:
     # --- initialisation methods ------------------------------------------------------------------------------------
 
     def _begin_with_frame(self) -> None:
-        """First coordinates: declared coordinates of targets and marks."""
+        """Assignment of the first coordinates of a network: declared coordinates of targets and marks."""
         self._located_targets = self._frame.declared_points.copy()
         self._positions = self._frame.declared_station_positions.copy()
         self._is_in_frame = self._is_levelled = self._frame.has_declared_positions
 
     def _begin_with_cloud(self) -> None:
-        """First coordinates: one station and the targets that it measured with range and both angles."""
+        """Assignment of the first coordinates of a network: one station and the targets that it measured completely."""
         counts = np.diff(self._pairs.first_pair_of_station)
         if not counts.any():
             return
@@ -330,7 +330,7 @@ class NetworkInitialiser:
         self._join_station(first_station, np.zeros(3), rotation)
 
     def _begin_with_ranges(self) -> None:
-        """First coordinates: targets of a network of ranges between stations and common targets."""
+        """Assignment of the first coordinates of a network of ranges between stations and common targets."""
         ranges = np.full((len(self._is_joined), len(self._located_targets)), np.nan)
         ranges[self._recording.station, self._recording.target] = self._front_readings[:, 0]
         stations = np.flatnonzero(np.isfinite(ranges).sum(axis=1) >= 3)
@@ -341,7 +341,7 @@ class NetworkInitialiser:
             self._located_targets[targets], self._is_from_plan = placed
 
     def _begin_with_positions(self) -> None:
-        """First coordinates: all declared positions, known or approximate, and rotations from mean azimuths."""
+        """Assignment of first coordinates to a network: all declared positions, and rotations from mean azimuths."""
         self._begin_with_frame()
         self._located_targets, marks = self._frame.approximate_points.copy(), self._frame.marks
         on_marks = self._located_targets[marks.target_indices] + marks.instrument_offsets
@@ -354,7 +354,7 @@ class NetworkInitialiser:
             self._join_station(station, declared[station], rotation_about_z(float(np.angle(np.nansum(turns)))))
 
     def _begin_with_bearings(self) -> None:
-        """First coordinates: horizontal ones from directions of upright stations and horizontal lengths."""
+        """Assignment of first horizontal coordinates, from directions of upright stations and horizontal lengths."""
         recording, frame, marks = self._recording, self._frame, self._frame.marks
         bearing_rows = np.flatnonzero(frame.is_levelled[recording.station] & np.isfinite(self._front_readings[:, 1]))
         if not len(bearing_rows) or np.isfinite(self._front_readings[:, 2]).any():

@@ -31,7 +31,7 @@ CalibrationSource = Calibration | str | Path
 
 
 def write_calibration(calibration: Calibration, folder: Path, *, with_stations: bool = False) -> Calibration:
-    """Writing of a calibration and its tables to a folder; returns the calibration with hashes of the files.
+    """Writing of a calibration and its tables to a folder; returns the calibration with hashes of these files.
 
     The files are `calibration.json`, `targets.csv`, and for a network the residuals and the covariance. With
     `with_stations`, `points.csv` and `points.covariance.csv` contain the targets and the stations of the network.

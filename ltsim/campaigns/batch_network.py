@@ -113,7 +113,7 @@ class BatchNetwork(NominalNetwork):
         """
         if self._bench_tested_reflector_change is not None:
             reading_deviations = reading_deviations - self._bench_tested_reflector_change
-        x, predicted = self._first_step(reading_deviations, length_errors)
+        x, predicted = self._first_newton_step(reading_deviations, length_errors)
         last_costs = np.full(x.shape[1], np.inf)
         gradient, cost = np.empty_like(x), np.empty(x.shape[1])
         for _ in range(2, MAX_NETWORK_FIT_STEPS + 1):
@@ -151,7 +151,7 @@ class BatchNetwork(NominalNetwork):
 
     @cached_property
     def _first_step_matrices(self) -> tuple[Floats, Floats, Floats]:
-        """Matrices of the first step from the nominal unknowns, and matrix of the readings predicted after this step.
+        """Matrices of the first Newton step of an adjustment, and matrix of the readings predicted after this step.
 
         The step is the first matrix times the reading deviations, plus the second times the residuals of all other
         observations. The third matrix, (readings, unknowns), does not contain effects, because their changes are
@@ -168,7 +168,7 @@ class BatchNetwork(NominalNetwork):
         by_reading = self.covariance @ (design / self.reading_sigmas.reshape(-1, 1)).T
         return by_reading, self.covariance @ self._non_reading_design[0].T, predicting
 
-    def _first_step(self, reading_deviations: Floats, length_errors: Floats | None) -> tuple[Floats, Floats]:
+    def _first_newton_step(self, reading_deviations: Floats, length_errors: Floats | None) -> tuple[Floats, Floats]:
         """First step (unknowns, trials), and predicted minus nominal readings (pointings, 3, trials) after it.
 
         `reading_deviations` are readings minus nominal readings, `length_errors` (lengths, trials) [m] declared minus

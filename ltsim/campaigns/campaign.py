@@ -118,8 +118,8 @@ def run_campaign(
         check_writable(folder, is_folder=True)
     campaign, scenarios = loaded or load_campaign(file, changes, tables)
     factors, cells = make_campaign_cells(campaign, scenarios, file)
-    notes, store = _configuration_notes(campaign, factors, cells, file), CampaignFolder(folder)
-    sources = _input_files(campaign, cells, file, copies_file=not changes and tables is None)
+    notes, store = _ineffective_effect_notes(campaign, factors, cells, file), CampaignFolder(folder)
+    sources = _input_file_contents(campaign, cells, file, copies_file=not changes and tables is None)
     taken = [] if store.has_campaign or force else store.conflicting_files(sources)
     if taken:
         raise InputError(
@@ -161,7 +161,7 @@ def run_campaign(
     return CampaignRunResult(folder, done, existing, tuple(notes))
 
 
-def _input_files(
+def _input_file_contents(
     campaign: CampaignFile, cells: Sequence[CampaignCell], file: Path, *, copies_file: bool
 ) -> dict[str, bytes]:
     """Contents of the input files to be stored with the rows, by name: scenarios, points, CAD files, campaign file.
@@ -182,7 +182,7 @@ def _input_files(
     return contents | {CAMPAIGN_FILE_NAME: read_whole_file(file) if copies_file else to_toml(settings).encode()}
 
 
-def _configuration_notes(
+def _ineffective_effect_notes(
     campaign: CampaignFile, factors: Sequence[Factor], cells: Sequence[CampaignCell], file: Path
 ) -> list[str]:
     """Notes on declared effects that change no reading; raises InputError if every trial would fail."""

@@ -115,7 +115,7 @@ class TrueNetwork:
 
     @property
     def sightings(self) -> Sightings:
-        """Pointings with the true positions of stations, targets and nests, all in the same frame."""
+        """Pointings of a simulated network with the true positions of stations, targets and nests, all in one frame."""
         return self.distributions.sightings
 
     @property

@@ -106,14 +106,14 @@ def wait_for_changes(source: Path) -> Iterator[None]:
     """Iterator that yields at once, and then each time a file of the recording `source` has changed."""
     last_states: tuple[tuple[str, int, int], ...] | None = None
     while True:
-        states = _file_states(source)
+        states = _file_modification_states(source)
         if states != last_states:
             last_states = states
             yield
         time.sleep(POLL_INTERVAL_S)
 
 
-def _file_states(source: Path) -> tuple[tuple[str, int, int], ...]:
+def _file_modification_states(source: Path) -> tuple[tuple[str, int, int], ...]:
     """Name, size [byte] and time of the last change [ns] of each file of a recording."""
     files = sorted(source.iterdir()) if source.is_dir() else [source]
     states = []
@@ -146,18 +146,18 @@ def watch_recording(terminal: Terminal, run_check: Callable[[], Check], changes:
         reported_reasons.clear()
         failed = [item for item in result.items if not item.passed]
         for item in failed:
-            if _test_key(item) not in reported_failures:
+            if _failed_test_key(item) not in reported_failures:
                 terminal.print_unbuffered(
                     f"{len(result.arrays.recording)} pointings: NO-GO {item.sentence}", rings_bell=True
                 )
-        if (reported_failures and not failed) or not reported_failures.union(map(_test_key, failed)):
+        if (reported_failures and not failed) or not reported_failures.union(map(_failed_test_key, failed)):
             terminal.print_unbuffered(f"{len(result.arrays.recording)} pointings: {result.sentence}")
-        reported_failures = set(map(_test_key, failed))
+        reported_failures = set(map(_failed_test_key, failed))
         if is_reader_gone():
             return
 
 
-def _test_key(item: CheckItem) -> tuple[str, str, tuple[str, ...]]:
+def _failed_test_key(item: CheckItem) -> tuple[str, str, tuple[str, ...]]:
     """Station, kind and targets of a test, by which a failed test is recognised, so that it is printed once."""
     return item.station, item.kind, item.targets
 

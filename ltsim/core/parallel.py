@@ -61,7 +61,7 @@ def run_parallel(
     watching = {"initializer": _start_worker, "initargs": (os.getpid(),)}
     with parallel_config(backend="loky", inner_max_num_threads=1, **watching):
         pool = Parallel(n_jobs=n_processes, return_as=return_as, batch_size=calls_per_batch)
-    with _without_working_folder(), _blocked_interrupts():
+    with _without_working_folder(), _blocked_keyboard_interrupts():
         results = pool(delayed(function)(*arguments) for arguments in argument_tuples)
     try:
         with _without_working_folder():
@@ -95,7 +95,7 @@ def _without_working_folder() -> Iterator[None]:
 
 
 @contextmanager
-def _blocked_interrupts() -> Iterator[None]:
+def _blocked_keyboard_interrupts() -> Iterator[None]:
     """Context in which worker processes and threads start with a signal mask that blocks Ctrl-C.
 
     A terminal sends Ctrl-C to all processes of a command. A worker that it reaches while it imports its modules would
@@ -125,10 +125,10 @@ def _start_worker(parent_process_id: int) -> None:
     signal.signal(signal.SIGINT, lambda *_: None)
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-    _watch_parent(parent_process_id)
+    _start_parent_watcher(parent_process_id)
 
 
-def _watch_parent(parent_process_id: int) -> None:
+def _start_parent_watcher(parent_process_id: int) -> None:
     """Start of a thread that ends this process when the process `parent_process_id` no longer exists."""
 
     def end_with_parent() -> None:

@@ -106,7 +106,7 @@ class TaskInputs(ValueEquality):
 
     @classmethod
     def from_recording(cls, recording: Recording, tasks: Tasks) -> Self:
-        """Points of the tasks from the adjustment of a recording, with the sources of their uncertainty.
+        """Points that tasks use, from the adjustment of a recording, with the sources of their uncertainty.
 
         Raises NetworkError or ConvergenceError if the network cannot be solved, ModelError or InputError for an unknown
         target or effect.

@@ -61,7 +61,7 @@ def builtin_plan_text(name: str) -> str:
     """
     path = BUILTIN_PLAN_FOLDER / f"{name}.toml"
     if not path.is_file():
-        similar = _suggestion(name, builtin_plan_names())
+        similar = _similar_names_clause(name, builtin_plan_names())
         raise InputError(f"{safe_excerpt(name)}: there is no built-in plan of this name; {similar}")
     return path.read_text(encoding="utf-8")
 
@@ -77,7 +77,7 @@ def load_plan(name_or_path: str | Path) -> tuple[PlanFile, Scenario]:
     if not path.is_file():
         if name in builtin_names():
             return PlanFile(scenario=name), load_scenario(name)
-        similar = _suggestion(name, builtin_plan_names())
+        similar = _similar_names_clause(name, builtin_plan_names())
         raise InputError(f"{safe_excerpt(name)}: there is no such file, and no built-in plan of this name; {similar}")
     with reraise_as_input_error():
         data = read_toml(path, "plan")
@@ -93,7 +93,7 @@ def load_plan(name_or_path: str | Path) -> tuple[PlanFile, Scenario]:
     return made, scenario
 
 
-def _suggestion(name: str, candidates: Sequence[str]) -> str:
+def _similar_names_clause(name: str, candidates: Sequence[str]) -> str:
     """Clause for an error about an unknown `name`, which asks for the most similar names among `candidates`."""
     names = ", ".join(difflib.get_close_matches(name, candidates, n=3, cutoff=0.4) or candidates[:8])
     return f"did you mean {names}?" if names else "no name is defined here"
@@ -156,7 +156,7 @@ def _check_names(plan_file: PlanFile, scenario: Scenario, file: object) -> None:
     ):
         for name in wanted:
             if name not in names:
-                similar = _suggestion(name, names)
+                similar = _similar_names_clause(name, names)
                 raise InputError(f"{file}: {key} names '{safe_excerpt(name)}', which does not exist; {similar}")
     new_names = [p.name for p in plan_file.reflectors.places] + [s.name for s in plan_file.reflectors.surfaces]
     targets = frozenset(scenario.target_names)
@@ -232,7 +232,7 @@ def _point_from_table(table: PointList, row: int, path: Path) -> PlanPoint:
     place = dict(zip(("x_mm", "y_mm", "z_mm"), (table.points[row] / MILLIMETRE).round(9).tolist(), strict=True))
     missing = next((column for column, value in place.items() if not math.isfinite(value)), None)
     if missing:
-        raise RecordError("found nothing, expected a number", column=missing, **location)
+        raise RecordError("the value is missing, expected a number", column=missing, **location)
     group = table.additional_columns["group"][row] if "group" in table.additional_columns else ""
     other_fields = {"weight": optional_number("weight", 1.0), "tolerance_mm": optional_number("tolerance_mm", None)}
     try:

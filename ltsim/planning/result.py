@@ -56,7 +56,7 @@ class Plan(ResultFile, PlannedLayoutEntry):
     frame: str = ""
     """Description of the coordinate system of all coordinates."""
     reference_layout: PlannedLayoutEntry | None = None
-    """Layout of the scenario with its expected precision, for comparison."""
+    """Layout that the scenario contains, with its expected precision, for comparison with the plan."""
     fewest_stations: TradeoffEntry | None = None
     """Point of the trade-off curve with the fewest stations whose layout is as good as that of the scenario; null if
     there is no such point."""

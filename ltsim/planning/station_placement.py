@@ -65,7 +65,7 @@ class StationPlacement:
         place_indices: list[int] = []
         while (
             len(place_indices) < n_stations
-            and (place := self._best_place(place_indices, wanted_sights, random_generator)) >= 0
+            and (place := self._best_candidate_position(place_indices, wanted_sights, random_generator)) >= 0
         ):
             place_indices.append(place)
         if len(place_indices) == n_stations and not self.missing_sights(place_indices, wanted_sights).any():
@@ -81,7 +81,7 @@ class StationPlacement:
             np.maximum(wanted_sights - self.n_fixed_sights - self.is_visible[place_indices].sum(axis=0), 0)
         )
 
-    def _best_place(
+    def _best_candidate_position(
         self, used_places: list[int], wanted_sights: int, random_generator: np.random.Generator | None
     ) -> int:
         """Index of the candidate position that sees most targets with too few sights; -1 if all are too near.

@@ -65,18 +65,18 @@ class DenseElimination:
         return scipy.linalg.lapack.dpotrs(self._cholesky_factor, right_hand_sides, lower=1)[0]
 
     @cached_property
-    def _inverse(self) -> Floats:
+    def _inverse_normal_matrix(self) -> Floats:
         """Inverse (K + 3 E, K + 3 E) of the normal matrix, in units of the scaled columns."""
         return inverse_from_cholesky(self._cholesky_factor)
 
     @property
     def retained_inverse(self) -> Floats:
         """Part (K, K) of the inverse normal matrix for the K retained unknowns."""
-        return self._inverse[: self._n_retained, : self._n_retained]
+        return self._inverse_normal_matrix[: self._n_retained, : self._n_retained]
 
     def inverse_submatrices(self, columns: Ints) -> Floats:
         """Parts (c, k, k) of the inverse normal matrix for c sets of k retained unknowns, indices `columns` (c, k)."""
-        return self._inverse[columns[:, :, None], columns[:, None, :]]
+        return self._inverse_normal_matrix[columns[:, :, None], columns[:, None, :]]
 
     @cached_property
     def inverse_blocks_and_leverage(self) -> tuple[Floats, Floats]:

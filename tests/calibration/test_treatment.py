@@ -96,7 +96,7 @@ def test_the_verdict_is_written_where_tests_conflict(make) -> None:
     assert said["case"] == "smaller noise"
     assert said["is_sigma0_credible"] is True
     found = calibrate_network(quiet, recommend_measurements=False)
-    assert any("the noise was estimated instead" in note for note in found.notes)
+    assert any("the estimated noise replaces it" in note for note in found.notes)
     assert {n.observable: round(3 * n.factor) for n in found.noise} == dict.fromkeys(OBSERVABLES, 1)
 
 

@@ -165,7 +165,7 @@ def test_points_in_a_thousandth_of_the_room_are_a_question(hall: Path, scale: fl
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("name,x_mm,y_mm\nA,1,2\n", "column z_mm: found nothing, expected a number"),
+        ("name,x_mm,y_mm\nA,1,2\n", "column z_mm: the value is missing, expected a number"),
         ("name,x_mm,y_mm,z_mm,colour\nA,1,2,3,red\n", "has the unknown column 'colour'"),
         ("name,x_mm,y_mm,z_mm\nA,1,2\n", "3 fields, expected 4 as in the header"),
         ("name,x_mm,y_mm,z_mm\nA,1,2,x\n", "z_mm"),

@@ -101,7 +101,7 @@ def check(
     full_recording = load_recording(recording)
     full_recording.require_at_most(MAX_ADJUSTED_POINTINGS, MAX_ADJUSTED_TARGETS, "a check")
     identification = identify_causes(full_recording) if len(full_recording.stations) > 1 else None
-    selection = identification if identification is not None and _explains_readings(identification) else None
+    selection = identification if identification is not None and _uses_corrected_readings(identification) else None
     moving = identification.certain_station_motions if identification is not None and selection is None else ()
     causes = () if selection is None else cause_tests(selection)
     corrected = full_recording if selection is None else selection.fit.correct_recording(full_recording)
@@ -146,8 +146,8 @@ def check(
     return result
 
 
-def _explains_readings(selection: CauseSelection) -> bool:
-    """True if set-ups and network are tested with readings corrected for the identified causes of errors."""
+def _uses_corrected_readings(selection: CauseSelection) -> bool:
+    """True if a field check tests set-ups and network with readings that are corrected for the identified causes."""
     return selection.requires_adjustment_with_causes or selection.is_consistent or selection.has_unit_errors
 
 
@@ -175,9 +175,9 @@ def _test_setup(
 ) -> SetupCheck:
     """Results of the tests of the set-up with the index `station`.
 
-    The three recordings contain the same pointings with different corrections. The tests are those of `test_family`.
-    The two-face differences are those of `paired_recording`, which contains outliers. The other tests use
-    `setup_recording`. `recording_with_declared_noise` is for sentences. `mpe` is the maximum permissible two-face
+    The three recordings contain the same pointings with different corrections. All tests share the false-alarm rate of
+    `test_family`. The two-face differences are those of `paired_recording`, which contains outliers. The other tests
+    use `setup_recording`. `recording_with_declared_noise` is for sentences. `mpe` is the maximum permissible two-face
     difference: constant part [um] and part per range [um/m]; None for the limit by noise and specification.
     """
     indices = np.flatnonzero(setup_recording.station == station)
@@ -228,7 +228,7 @@ class GrossAndMotionTests:
     items: tuple[CheckItem, ...]
     """Test results, one per test."""
     corrected_setup_model: SetupModel
-    """Linear model of the set-up without gross pointings, in which detected motions and drifts are fitted too."""
+    """Linear model of the readings without gross pointings, in which detected motions and drifts are fitted too."""
     motions: tuple[StationMotionEffect, ...]
     """Detected motions of the station: sudden (bump) or at a constant rate (drift)."""
     motion_corrected_recording: Recording
@@ -251,7 +251,7 @@ def _gross_and_motion_tests(
     motions: list[StationMotionEffect] = [] if bump is None else [bump]
     designs = [motion.design(setup_model.sightings) for motion in motions]
     remaining = reduce(SetupModel.with_fitted_columns, designs, setup_model)
-    drift_design, zeros = uniform_motion.design(setup_model.sightings), _zero_drift_design(setup_model)
+    drift_design, zeros = uniform_motion.design(setup_model.sightings), _instrument_drift_design(setup_model)
     check_items.append(_drift_item(remaining, test_family, "drift", drift_design, station_drift_sentence))
     if not check_items[-1].passed:
         motions.append(uniform_motion)
@@ -268,10 +268,10 @@ def _gross_and_motion_tests(
 def _gross_pointings_and_bump(
     setup_model: SetupModel, construction: GeometricErrorModel, test_family: BonferroniFamily
 ) -> tuple[dict[int, float], StationBump | None, SetupModel]:
-    """p-values of gross pointings by index, bump (None if not significant), and set-up model without gross pointings.
+    """p-values of gross pointings by index, sudden station motion, and linear model without the gross pointings.
 
-    Gross pointings are removed one by one, until a bump (sudden motion of the station) explains the readings better
-    than the next gross error does.
+    Gross pointings are removed one by one, until a bump (station motion) explains the readings better than the next
+    gross error does. The bump is None if it is not significant.
     """
     gross: dict[int, float] = {}
     most = max(1, MAX_SINGLE_ERROR_FRACTION * len(setup_model.row_mask))
@@ -362,7 +362,7 @@ def _bump_item(
     )
 
 
-def _zero_drift_design(setup_model: SetupModel) -> Floats:
+def _instrument_drift_design(setup_model: SetupModel) -> Floats:
     """Changes (n, 3, 2) of the readings of n pointings per unit of two drift rates of the instrument.
 
     These are the rates of the range zero [m/s] and of the vertical index [rad/s].

@@ -68,7 +68,7 @@ CAUSE_PHRASE_BY_REFERENCE_KIND = {
 
 
 def cause_sentence(fit: NetworkFit, hypothesis: CauseHypothesis, rival_names: Sequence[str] = ()) -> str:
-    """Sentence on a selected hypothesis, with the size of the error and its usual causes.
+    """Sentence for the user on an identified error (the selected hypothesis), with its size and usual causes.
 
     For a wrong reference value, `rival_names` are the names of other reference values that may be wrong in its place.
     """
@@ -80,7 +80,7 @@ def cause_sentence(fit: NetworkFit, hypothesis: CauseHypothesis, rival_names: Se
 
 
 def _reference_sentence(fit: NetworkFit, hypothesis: CauseHypothesis, rival_names: Sequence[str]) -> str:
-    """Sentence on a wrong reference value; `rival_names` as for `cause_sentence`."""
+    """Sentence for the user on a wrong reference value; `rival_names` are values that may be wrong in its place."""
     assert isinstance(hypothesis.model_change, ReferenceOmission)
     estimate, sigma, unit = misclosure_estimate(fit, hypothesis).values()
     size_text = f"{_number_text(estimate)} {unit}" if sigma is None else with_sigma(estimate, sigma, unit)
@@ -114,7 +114,7 @@ def _equivalent_scale_text(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
 
 
 def _sentence_on_other_causes(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
-    """Sentence on a selected hypothesis on a shift of readings, the noise or a blunder.
+    """Sentence for the user on an identified shift of readings, noise other than declared, or a blunder.
 
     Centring errors have a separate function.
     """
@@ -218,7 +218,7 @@ OBSERVABLE_CAUSE_TEXTS = {
 
 
 def _observable_sentence(fit: NetworkFit, hypothesis: CauseHypothesis, estimate: dict[str, Any]) -> str:
-    """Sentence on a hypothesis that all readings of one observable are shifted at a station or target.
+    """Sentence for the user on an identified shift of all readings of one observable at a station or target.
 
     `estimate` contains the size of the shift, its standard deviation and unit.
     """
@@ -258,7 +258,7 @@ def _observable_sentence(fit: NetworkFit, hypothesis: CauseHypothesis, estimate:
 
 
 def _centring_sentence(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
-    """Sentence on a hypothesis of centring errors at a set-up, on a target, or everywhere, with their size."""
+    """Sentence for the user on identified centring errors at a set-up, on a target, or everywhere, with their size."""
     assert isinstance(hypothesis.model_change, CentringChange)
     sigma = f"{_number_text(float(f'{hypothesis.model_change.centring_uncertainty.sigma_mm:.2g}'))} mm"
     size_text = f"{sigma} (standard deviation)"

@@ -2,7 +2,7 @@
 
 A family contains the hypotheses on one kind of shift of readings: one hypothesis for each station, target or
 instrument, and for each possible onset time. Their design columns are computed from one array, so that a network with
-thousands of stations and targets is screened at once.
+thousands of stations and targets is tested at once.
 """
 
 from __future__ import annotations
@@ -156,7 +156,7 @@ def shift_places(sightings: Sightings, place_kind: PlaceKind) -> list[ShiftPlace
 
 
 def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
-    """Families of all shifts of readings that are possible in a recording, one per kind of shift and of place."""
+    """Groups of hypotheses on possible shifts of readings in a recording, one group per kind of shift and place."""
     stations = len(sightings.station_names) > 1
     distance, azimuth, elevation = (
         ReadingShift(observable).design(sightings) for observable in ("distance", "azimuth", "elevation")
@@ -211,7 +211,7 @@ class ShiftCandidate:
     """Candidate hypothesis: shift of readings of one kind, at one station, target or instrument, from a time on."""
 
     family: ShiftFamily
-    """Family of the shift: all shifts of its kind, with their common design matrix."""
+    """Group of all shifts of the same kind, with their common design matrix."""
     place: ShiftPlace
     """Stations and targets where the shift acts."""
     onset_time: float
@@ -219,7 +219,7 @@ class ShiftCandidate:
     affected_rows: Ints
     """Indices of the pointings that are shifted."""
     earlier_rows: Ints
-    """Indices of the pointings at the same stations and targets before the onset."""
+    """Indices of the pointings at the same stations and targets before the onset of the shift."""
     n_candidates_of_kind: int
     """Number of candidates of this kind, which share the prior probability of the kind equally."""
 

@@ -1,4 +1,4 @@
-"""Screening of all hypotheses on errors by their approximate gain of log evidence relative to a fit.
+"""Approximate test (screening) of all hypotheses on errors of a network, by their gain of log evidence.
 
 Two methods are used, and the larger gain counts. Projection onto the residual space of a fit is exact for small errors.
 A fit to the residuals of one station or target, with the rest of the network unchanged, detects errors of any size

@@ -85,7 +85,7 @@ first.
 
 @dataclass(frozen=True)
 class CauseSelectionState:
-    """State of the selection of hypotheses on the causes of a misfit; each step of it returns a new state."""
+    """Selected hypotheses on the causes of a misfit during the selection; each step returns a new state."""
 
     fit: NetworkFit
     """Network fit with the hypotheses that are selected so far."""
@@ -140,7 +140,7 @@ def select_causes(fit_input: FitInput, min_gain: float = MIN_LOG_EVIDENCE_GAIN) 
 
 
 def _forward_step(state: CauseSelectionState) -> CauseSelectionState | None:
-    """State with one more hypothesis, which increases the log evidence most; None if no increase is large enough.
+    """Selection with one more hypothesis, which increases the log evidence most; None if no increase is large enough.
 
     Instead of centring errors, several other hypotheses are added if their log evidence is larger.
     """
@@ -159,7 +159,7 @@ def _forward_step(state: CauseSelectionState) -> CauseSelectionState | None:
 
 
 def _backward_step(state: CauseSelectionState) -> CauseSelectionState:
-    """State without those hypotheses whose removal decreases the log evidence by less than the `min_gain` of the state.
+    """Selection without those hypotheses whose removal decreases the log evidence by less than its `min_gain`.
 
     Only hypotheses that may explain the same readings as the hypothesis selected last are tried. Of the initial
     hypotheses only exclusions of reference values may be removed, because no network can be fitted without the other
@@ -184,7 +184,7 @@ def _backward_step(state: CauseSelectionState) -> CauseSelectionState:
 
 
 def _exchange_step(state: CauseSelectionState) -> CauseSelectionState | CauseSelection:
-    """State with one hypothesis exchanged for a better alternative; without such an alternative, the final result.
+    """Selection with one hypothesis exchanged for a better alternative; without such an alternative, the final result.
 
     Every hypothesis is compared with its alternatives, given the other hypotheses. The hypotheses of the initial fit
     are not compared, because no network can be fitted without them.

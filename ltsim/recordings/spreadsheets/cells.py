@@ -237,12 +237,13 @@ def parse_times(texts: Sequence[str], date_order: str | None = None) -> tuple[li
     text is not a date or time, and (None, "?") if the order of day and month is ambiguous.
     """
     texts = [_without_apostrophe(text) for text in texts]
-    clocks = _convert_all(_parse_time_of_day, texts)
+    clocks = _convert_texts(_parse_time_of_day, texts)
     if clocks is not None:
         return _seconds_since_first([datetime.min + clock for clock in _unwrap_midnight(clocks)], has_date=False)
     orders = _DATE_ORDERS_12_HOURS if texts and texts[0][-2:].casefold() in ("am", "pm") else _DATE_ORDERS
     stamps_by_order = (
-        _convert_all(partial(_parse_date_and_time, letters=letters, date_order=date_order), texts) for letters in orders
+        _convert_texts(partial(_parse_date_and_time, letters=letters, date_order=date_order), texts)
+        for letters in orders
     )
     readings = [_seconds_since_first(stamps, has_date=True) for stamps in stamps_by_order if stamps is not None]
     if any(seconds != readings[0][0] for seconds, _ in readings):
@@ -250,7 +251,7 @@ def parse_times(texts: Sequence[str], date_order: str | None = None) -> tuple[li
     return readings[0] if readings else (None, "")
 
 
-def _convert_all(convert: Callable[[str], ValueType | None], texts: Sequence[str]) -> list[ValueType] | None:
+def _convert_texts(convert: Callable[[str], ValueType | None], texts: Sequence[str]) -> list[ValueType] | None:
     """Results of `convert` for all texts; None if one of them is None."""
     converted = []
     for text in texts:

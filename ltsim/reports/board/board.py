@@ -116,11 +116,11 @@ class MovableLayout:
                  "yaw_deg": round(float(yaw) / DEGREE % 360, 2)}
                 for name, place, yaw in stations
             ],
-            "places": np.round(self._offered_positions / MILLIMETRE, 1).tolist(),
+            "places": np.round(self._suggested_station_positions / MILLIMETRE, 1).tolist(),
         }  # fmt: skip
 
     @cached_property
-    def _offered_positions(self) -> Floats:
+    def _suggested_station_positions(self) -> Floats:
         """Positions (P, 3) [m] that the page offers for another station, at most `MAX_OFFERED_POSITIONS`.
 
         The P positions are points of a grid on the floor from which enough targets are visible.

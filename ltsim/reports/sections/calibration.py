@@ -342,7 +342,7 @@ def _criteria_blocks(content: Calibration) -> list[TableBlock]:
         return []
     text = "Disagreement of the stations in distances between reflectors and in their coordinates."
     if content.method == "adjustment" and modelled_shifts(content.tests):
-        text += " It is computed from the readings as they are, with the errors that the model corrects."
+        text += " The uncorrected readings, from which it is computed, contain the errors that the model corrects."
     table = content.criteria.criteria_table()
     is_compared = any("after" in heading for heading in table.headings)
     return table_blocks("Criteria before and after calibration" if is_compared else "Criteria", table, note=text)

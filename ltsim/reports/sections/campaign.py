@@ -132,7 +132,7 @@ def campaign_section(folder: Path) -> Section:
     )
 
 
-def _mean_text(summary: StatisticSummary, level: str = "95 %: ") -> str:
+def _mean_interval_text(summary: StatisticSummary, level: str = "95 %: ") -> str:
     """Mean of a result over the trials with its 95 % interval, as text; `level` is a text before the interval."""
     return f"{number_text(summary.mean)} ({level}{number_text(summary.low)} to {number_text(summary.high)})"
 
@@ -154,7 +154,7 @@ def _summary_sentence(
     for method in manifest.methods:
         means = [s for s in summaries.get(SUMMARY_IMPROVEMENT_COLUMN, []) if s.method == method]
         if len(means) == 1:
-            mean_texts.append(f"{method} by {_mean_text(means[0])} %")
+            mean_texts.append(f"{method} by {_mean_interval_text(means[0])} %")
         elif means:
             ends = dict.fromkeys(number_text(limit(s.mean for s in means)) for limit in (min, max))
             mean_texts.append(f"{method} by {' to '.join(ends)} %")
@@ -335,7 +335,10 @@ def _errors_before_and_after_tables(
     for share in RATIO_STATISTICS:
         entries = [summaries.get(name, []) for name in (*error_columns_of_ratio(share), share)]
         rows = [
-            [names[row_summaries[0].cell], row_summaries[0].method, *(_mean_text(s, "") for s in row_summaries)]
+            [
+                names[row_summaries[0].cell], row_summaries[0].method,
+                *(_mean_interval_text(s, "") for s in row_summaries),
+            ]
             for row_summaries in zip(*entries, strict=all(entries))
         ]
         point_kind = "new point" if share.startswith("new_point") else "point"

@@ -121,7 +121,7 @@ def diagnosis_section(content: Diagnosis, context: SectionContext) -> Section:
         )
     blocks += _undetectable_tables(content)
     n_open_blocks = len(blocks)
-    blocks += _fit_tables(content)
+    blocks += _misfit_tables(content)
     if after is not None and adjustments is not None:
         blocks += residuals_over_covariates(after)
     for entry in content.instruments:
@@ -243,7 +243,7 @@ def _finding_blocks(
     name = finding_title(finding)
     sentence = finding.sentence or f"{name} {_finding_scope_text(finding.where)}"
     separation_sentence = (
-        f" To separate it from the alternatives: {finding.separate_by.rstrip('.')}." if finding.separate_by else ""
+        f" To separate the finding from its rivals: {finding.separate_by.rstrip('.')}." if finding.separate_by else ""
     )
     formula_is_new = finding.formula not in finding.sentence
     formula_sentence = f" Proposed formula: {finding.formula}." if finding.formula and formula_is_new else ""
@@ -358,7 +358,7 @@ def _finding_scope_text(scope: FindingScope) -> str:
     return ", ".join(place_texts) or "everywhere"
 
 
-def _fit_tables(content: Diagnosis) -> list[TableBlock]:
+def _misfit_tables(content: Diagnosis) -> list[TableBlock]:
     """Table of the misfit without and with the findings in the model, with the error of held-out readings."""
     note = (
         "Held-out error: 5-fold cross-validated prediction error, divided by the declared noise (or by the estimated "
@@ -383,7 +383,7 @@ def _undetectable_tables(content: Diagnosis) -> list[TableBlock]:
     )
     cures = " or ".join(dict.fromkeys(u.cure for u in largest_first if u.cure))
     note = "Poses, targets and instrument constants absorb these effects at a plausible worst-case size."
-    note += f" To detect them: {cures}." if cures else ""
+    note += f" Measurement that would detect these effects: {cures}." if cures else ""
     return table_blocks("Undetectable in this recording", table, note=note)
 
 
