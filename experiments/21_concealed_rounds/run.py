@@ -27,8 +27,8 @@ ROUNDS = ("round-1", "round-2", "round-3", "round-4")
 def examine(folder: Path, out: Path) -> None:
     """Diagnose one recording with default settings, and write it down."""
     diagnosis = diagnose(read(folder))
-    diagnosis = json.dumps(diagnosis.content(), allow_nan=False) + "\n"
-    write_texts(out / folder.name, {"diagnosis.json": diagnosis, "targets.csv": diagnosis.table("targets").csv_text()})
+    text = json.dumps(diagnosis.content(), allow_nan=False) + "\n"
+    write_texts(out / folder.name, {"diagnosis.json": text, "targets.csv": diagnosis.table("targets").csv_text()})
 
 
 def recordings_of(name: str) -> list[Path]:

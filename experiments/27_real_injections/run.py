@@ -126,7 +126,7 @@ def run(given: Options) -> Made:
     settings = given.config
     if "ideal" in given.words:
         networks = [network for network in settings["network"] if (DATA / network["file"]).exists()]
-        answers = run_parallel(ideal.asked, [(n, settings) for n in networks], given.jobs)
+        answers = run_parallel(ideal.examined, [(n, settings) for n in networks], given.jobs)
         rows = [row for site_rows in answers for row in site_rows]
         write_table(given.out / "ideal.csv", rows)
         ltsim = pd.read_csv(given.out / "rows.csv").convert_dtypes().to_dict("records")

@@ -22,7 +22,7 @@ from ltsim.core.arrays import Floats, batches
 from ltsim.core.notation import count_text, number_text, with_sigma
 from ltsim.core.rounding import SQRT_MACHINE_EPSILON
 from ltsim.core.units import ARCSECOND, MILLIMETRE
-from ltsim.physics.effects.air import temperature_errors_text
+from ltsim.physics.effects.scale_causes import temperature_errors_text
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.solve.design import to_dense
 from ltsim.solve.gauss_newton import Solution, solve

@@ -33,9 +33,9 @@ from ltsim.core.notation import names_text, with_sigma
 from ltsim.core.probability import TWO_SIDED_GLOBAL_TEST_LEVEL
 from ltsim.core.units import ARCSECOND, MICROMETRE, MILLIMETRE, PPM
 from ltsim.geometry.rigid import quaternion_from_matrix, rigid_motion_jacobian
-from ltsim.physics.effects.air import temperature_errors_text
 from ltsim.physics.effects.motions import reading_change_by_displacement
 from ltsim.physics.effects.range_mode import RangeMode
+from ltsim.physics.effects.scale_causes import temperature_errors_text
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.physics.model.measurement import smr_radius_offsets

@@ -31,11 +31,11 @@ def dense_row_groups(
             has_entries[group_of_row[row], column] = True
         positions = np.cumsum(has_entries, axis=1, dtype=np.int64) - 1
         widths = has_entries.sum(axis=1)
-        flat_arrays = []
+        flat_arrays: list[tuple[Floats, Ints]] = []
         for group_of_row, row, column, values in entries:
             starts = np.append(0, np.cumsum(widths[group_of_row]))
-            flat = np.bincount(starts[row] + positions[group_of_row[row], column], values, starts[-1])
-            flat_arrays.append((flat.astype(np.float64, copy=False), starts))
+            sums = np.bincount(starts[row] + positions[group_of_row[row], column], values, int(starts[-1]))
+            flat_arrays.append((np.asarray(sums, dtype=np.float64), starts))
         columns, edges = np.nonzero(has_entries)[1], np.append(0, np.cumsum(widths)).tolist()
         for g, (begin, end) in enumerate(pairwise(edges)):
             arrays = []
