@@ -138,9 +138,7 @@ def write(
         _write_result(result, Path(path), recording, with_stations=with_stations)
 
 
-def _write_result(
-    result_file: ResultFile, path: Path, recording: Recording | None, *, with_stations: bool
-) -> None:
+def _write_result(result_file: ResultFile, path: Path, recording: Recording | None, *, with_stations: bool) -> None:
     """Writing of a result that is not a recording; `recording` is written to the same folder if given.
 
     With `with_stations` the files of targets and stations are written too.

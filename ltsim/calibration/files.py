@@ -15,15 +15,19 @@ from ltsim.adjustment.coordinate_uncertainty import (
 from ltsim.calibration.arrays import arrays_from_file_rows
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.reported_uncertainty import point_covariance
-from ltsim.calibration.schema import POINTS_TABLE, RESIDUALS_TABLE, TARGETS_TABLE
+from ltsim.calibration.schema import COORDINATE_COLUMNS, RESIDUALS_TABLE, TARGETS_TABLE
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError, RecordError, unknown_name_error
 from ltsim.core.notation import names_text
+from ltsim.core.results import Table
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.recordings.files import read_text, safe_excerpt
 from ltsim.recordings.result_file import read_result, write_result
 
+POINTS_TABLE = Table(
+    "points.csv", "adjusted targets and stations; undetermined ones have no row or no height", COORDINATE_COLUMNS
+)
 POINT_FILE_NAMES = (POINTS_TABLE.file, POINTS_COVARIANCE_FILE_NAME)
 """Names of the files with targets and stations and with their joint covariance."""
 CalibrationSource = Calibration | str | Path

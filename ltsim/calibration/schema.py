@@ -23,7 +23,6 @@ COORDINATE_COLUMNS = (
     *number_columns(".6f", sigma_x_mm="its standard deviation", sigma_y_mm="as sigma_x_mm", sigma_z_mm="as sigma_x_mm"),
 )
 TARGETS_TABLE = Table("targets.csv", "adjusted targets; undetermined ones have no row or no height", COORDINATE_COLUMNS)
-POINTS_TABLE = Table("points.csv", "adjusted targets and stations, as in targets.csv", COORDINATE_COLUMNS)
 RESIDUALS_TABLE = Table(
     "residuals.csv",
     "one row per observation in use",

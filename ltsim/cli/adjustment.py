@@ -64,9 +64,7 @@ def adjust(
 
     Example: ltsim adjust my-recording --robust --noise-from-data --out adjusted
     """
-    _run_estimation(
-        lt.adjust, source, reading_options, terminal, options.arguments(), with_stations=with_stations
-    )
+    _run_estimation(lt.adjust, source, reading_options, terminal, options.arguments(), with_stations=with_stations)
 
 
 def calibrate(
@@ -83,9 +81,7 @@ def calibrate(
 
     Example: ltsim calibrate my-recording --out my-calibration
     """
-    _run_estimation(
-        lt.calibrate, source, reading_options, terminal, options.arguments(), with_stations=with_stations
-    )
+    _run_estimation(lt.calibrate, source, reading_options, terminal, options.arguments(), with_stations=with_stations)
 
 
 def correct(

@@ -9,16 +9,9 @@ from ltsim.core.errors import ModelError, NetworkError
 from ltsim.core.notation import names_text
 from ltsim.core.units import LENGTH_UNITS, SI_PER_UNIT
 from ltsim.geometry.rigid import align_with_scale
-from ltsim.recordings.epoch_coordinates import EpochCoordinates
+from ltsim.recordings.epoch_coordinates import MAX_NAMES_IN_NOTE, EpochCoordinates
 from ltsim.recordings.tables.setups import normalised_name
-
-MAX_UNIT_RATIO_ERROR = 2e-3
-"""Largest relative difference of a scale between two lists from the ratio of two units that shows different units."""
-MAX_RESIDUAL_OF_UNIT_RATIO = 0.01
-"""Largest rms difference of two lists after alignment with a scale, relative to their extent, that shows different
-units."""
-MAX_NAMES_IN_TEXT = 4
-"""Largest number of names of points in a sentence."""
+from ltsim.recordings.transcription_errors import MIN_RELATIVE_DISAGREEMENT_OF_WRONG_LENGTHS
 
 
 def matched_lists(
@@ -33,9 +26,7 @@ def matched_lists(
         raise ModelError(f"the first list has the axes {first.axes}, the second {second.axes}, and none is in both")
     notes = []
     if first.axes != second.axes:
-        notes.append(
-            f"the first list has the axes {first.axes}, the second {second.axes}: only {axes} are compared"
-        )
+        notes.append(f"the first list has the axes {first.axes}, the second {second.axes}: only {axes} are compared")
     first, second = (_with_axes(epoch, axes) for epoch in (first, second))
     second, renamed = _with_names_spelled_as(second, first.names)
     _require_common_names(first, second)
@@ -75,7 +66,7 @@ def _with_names_spelled_as(epoch: EpochCoordinates, names: Sequence[str]) -> tup
 def _require_common_names(first: EpochCoordinates, second: EpochCoordinates) -> None:
     """Check that two lists have common names of points; raises NetworkError, which gives names of both."""
     if set(first.names).isdisjoint(second.names):
-        examples = [names_text(list(epoch.names), MAX_NAMES_IN_TEXT) for epoch in (first, second)]
+        examples = [names_text(list(epoch.names), MAX_NAMES_IN_NOTE) for epoch in (first, second)]
         raise NetworkError(
             f"no point of the first list ({examples[0]}) has the name of a point of the second ({examples[1]}); give "
             "the same points the same names, in the column that names them"
@@ -88,27 +79,26 @@ def _unmatched_names_notes(first: EpochCoordinates, second: EpochCoordinates) ->
     for ordinal, epoch, other in (("first", first, second), ("second", second, first)):
         names = [name for name in epoch.names if name not in other.names]
         if names:
-            texts.append(f"{names_text(names, MAX_NAMES_IN_TEXT)} in the {ordinal}")
+            texts.append(f"{names_text(names, MAX_NAMES_IN_NOTE)} in the {ordinal}")
     return [f"points that only one list contains are not compared: {', '.join(texts)}"] if texts else []
 
 
 def _require_same_units(first: EpochCoordinates, second: EpochCoordinates) -> None:
     """Check that the coordinates of two lists have the same unit; raises ModelError.
 
-    The units differ if an alignment with a scale fits, and the scale is the ratio of two units of lengths.
+    The units differ if an alignment with a scale fits, and the scale is the ratio of two units of lengths, both within
+    `MIN_RELATIVE_DISAGREEMENT_OF_WRONG_LENGTHS`.
     """
     common_names = [name for name in first.names if name in second.names]
     if len(common_names) <= first.points.shape[1]:
         return
-    before, after = (
-        epoch.points[[epoch.names.index(name) for name in common_names]] for epoch in (first, second)
-    )
+    before, after = (epoch.points[[epoch.names.index(name) for name in common_names]] for epoch in (first, second))
     arms = [points - points.mean(axis=0) for points in (before, after)]
     extents = [float(np.sqrt(np.mean(arm**2))) for arm in arms]
     units = [SI_PER_UNIT[unit] for unit in LENGTH_UNITS]
     ratios = np.array([a / b for a in units for b in units if a != b])
     scale = extents[1] / extents[0] if all(extents) else 1.0
-    if np.abs(scale / ratios - 1.0).min() > MAX_RESIDUAL_OF_UNIT_RATIO:
+    if np.abs(scale / ratios - 1.0).min() > MIN_RELATIVE_DISAGREEMENT_OF_WRONG_LENGTHS:
         return
     try:
         turn, shift, fitted = align_with_scale(after, before, estimates_scale=True)
@@ -116,7 +106,10 @@ def _require_same_units(first: EpochCoordinates, second: EpochCoordinates) -> No
         return
     misfit = float(np.sqrt(np.mean((before - (float(fitted) * after @ turn.T + shift)) ** 2)))
     ratio = 1.0 / float(fitted)
-    if misfit < MAX_RESIDUAL_OF_UNIT_RATIO * extents[0] and np.abs(ratio / ratios - 1.0).min() < MAX_UNIT_RATIO_ERROR:
+    if (
+        misfit < MIN_RELATIVE_DISAGREEMENT_OF_WRONG_LENGTHS * extents[0]
+        and np.abs(ratio / ratios - 1.0).min() < MIN_RELATIVE_DISAGREEMENT_OF_WRONG_LENGTHS
+    ):
         raise ModelError(
             f"the coordinates of the second list are {ratio:.6g} times those of the first, which is the ratio of two "
             "units of length; give the unit in the titles of both lists, such as x_mm, x_m or x_in"

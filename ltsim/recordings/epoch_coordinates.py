@@ -43,14 +43,14 @@ def without_fixed_points(epoch: EpochCoordinates) -> EpochCoordinates:
     is_fixed = (variances == 0.0).all(axis=1)
     if not is_fixed.any() or is_fixed.all():
         return epoch
-    kept_points = np.flatnonzero(~is_fixed).tolist()
+    variable_points = np.flatnonzero(~is_fixed).tolist()
     rows = np.flatnonzero(np.repeat(~is_fixed, variances.shape[1]))
     fixed_names = ", ".join(safe_excerpt(epoch.names[i]) for i in np.flatnonzero(is_fixed).tolist()[:MAX_NAMES_IN_NOTE])
     note = f"points that define the frame, with the variance 0, are not used: {fixed_names}"
     return replace(
         epoch,
-        names=tuple(epoch.names[i] for i in kept_points),
-        points=epoch.points[kept_points],
+        names=tuple(epoch.names[i] for i in variable_points),
+        points=epoch.points[variable_points],
         covariance=epoch.covariance[np.ix_(rows, rows)],
         notes=(*epoch.notes, note),
     )

@@ -82,13 +82,13 @@ def parse_packed_integer_degrees(text: str) -> Decimal | None:
     return None if match is None else _degrees_from_parts(*match.groups())
 
 
-def joined_angle_text(parts: Sequence[str]) -> str:
+def joined_angle_text(cell_texts: Sequence[str]) -> str:
     """Angle in one text, from the cells of its degrees, minutes and possibly seconds; '' for empty cells.
 
     The sign of a negative angle is before its first part that is not zero, before all parts, or before a zero as the
     number of degrees. Parts with other signs remain unchanged, so that the text is no angle.
     """
-    texts = [text.strip() for text in parts]
+    texts = [text.strip() for text in cell_texts]
     magnitudes = [text.lstrip("".join(MINUS_SIGNS)) for text in texts]
     signs = [text.startswith(MINUS_SIGNS) for text in texts]
     first = next((i for i, text in enumerate(magnitudes) if text.strip("0.,")), 0)

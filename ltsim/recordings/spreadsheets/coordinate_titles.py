@@ -5,8 +5,8 @@ from collections.abc import Sequence
 AXIS_LETTERS = "xyz"
 """Letters of the axes, with which titles of coordinates begin or end."""
 MIN_COMMON_WORD_LENGTH = 3
-"""Smallest number of letters of the common word. One or two letters denote other quantities, such as `Rx`, `Ry`, `Rz`
-(rotations) or `Qx`, `Qy`, `Qz` (quaternions)."""
+"""Smallest number of letters of the common word. One or two letters denote other quantities, such as rotations
+and quaternions."""
 WORDS_OF_OTHER_VECTORS = (
     "rot rotation angle ang euler quat quaternion vel velocity speed acc accel acceleration gyro force torque moment "
     "sigma std stddev sdev err error dev deviation diff difference delta unc uncertainty normal norm dir direction "

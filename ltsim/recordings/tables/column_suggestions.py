@@ -162,23 +162,21 @@ def _name_columns(
     Known titles decide. Otherwise columns of texts are names, and if there is only one or none, also columns of whole
     numbers before the angles `angles` that do not count the rows. A column with more different names names the targets.
     """
-    known_roles = [title_role(title_words_and_unit(title)[0]) for title in titles]
-    known_columns = {
+    roles_of_titles = [title_role(title_words_and_unit(title)[0]) for title in titles]
+    named_columns = {
         role: i
-        for i, role in reversed([*enumerate(known_roles)])
+        for i, role in reversed([*enumerate(roles_of_titles)])
         if role in ("station", "target") and any(columns[i]) and not any(i in angle for angle in angles)
     }
-    if len(known_columns) == len(("station", "target")):
-        return {role: known_columns[role] for role in ("station", "target")}
-    names = [i for i in text_columns if not known_roles[i] or i in known_columns.values()]
+    if len(named_columns) == len(("station", "target")):
+        return {role: named_columns[role] for role in ("station", "target")}
+    names = [i for i in text_columns if not roles_of_titles[i] or i in named_columns.values()]
     names.sort(key=_n_distinct(columns))
     end_of_names = min((angle[0] for angle in angles), default=max(len(columns) - len(COORDINATE_ROLES), 0))
     numbers = [
         i
         for i in number_columns
-        if i < end_of_names
-        and not known_roles[i]
-        and all(cell.isdigit() for cell in columns[i])
+        if i < end_of_names and not roles_of_titles[i] and all(cell.isdigit() for cell in columns[i])
     ]
     counters = [i for i in numbers if _counts_rows(columns[i])]
     if len(names) == 1:

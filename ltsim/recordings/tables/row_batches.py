@@ -162,9 +162,7 @@ class RowBatchReader:
         """Number in one cell, as text of its decimal digits; raises RecordError."""
         packed = column.unit == "dms"
         exact_value = (
-            parse_packed_degrees(text)
-            if packed
-            else cells.parse_number_or_angle(text, self.sheet.thousands_separator)
+            parse_packed_degrees(text) if packed else cells.parse_number_or_angle(text, self.sheet.thousands_separator)
         )
         location = self._source_location(line)
         if packed and exact_value is None:
