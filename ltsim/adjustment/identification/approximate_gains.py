@@ -64,7 +64,7 @@ def approximate_log_evidence_gains(space: ResidualSpace, candidates: Sequence[Sh
         most_rows = max(len(candidates[i].affected_rows) for i in group)
         for batch in (group[part] for part in batches(len(group), most_rows * grams[0].size)):
             rows = [candidates[i].affected_rows for i in batch]
-            starts = np.cumsum([0, *(len(of_one) for of_one in rows[:-1])])
+            starts = np.cumsum([0, *(len(indices) for indices in rows[:-1])])
             every = np.concatenate(rows)
             gram, score = np.add.reduceat(grams[every], starts), np.add.reduceat(scores[every], starts)
             scale = np.sqrt(np.maximum(np.einsum("hii->hi", gram), 1e-300))

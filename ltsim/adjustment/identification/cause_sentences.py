@@ -100,8 +100,8 @@ def _equivalent_scale_text(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
 
     It is empty too if another length, or two points with reference coordinates, determine the scale.
     """
-    n_known = sum(fit.recording.target_setup(name).known_mm is not None for name in fit.recording.targets)
-    if hypothesis.acts_on != "length" or fit.recording.gauge.distance or n_known > 1:
+    n_reference_points = sum(fit.recording.target_setup(name).known_mm is not None for name in fit.recording.targets)
+    if hypothesis.acts_on != "length" or fit.recording.gauge.distance or n_reference_points > 1:
         return ""
     assert isinstance(hypothesis.model_change, ReferenceOmission)
     value = hypothesis.model_change.reference_value

@@ -16,7 +16,7 @@ from ltsim.adjustment.identification.reading_shifts import ReadingShift
 from ltsim.adjustment.reference_values import without_reference_coordinates
 from ltsim.adjustment.significance import MAX_TRACKER_ERROR, MIN_FAULTY_FRACTION_OF_GROUP
 from ltsim.adjustment.start import initial_network
-from ltsim.core.arrays import Floats
+from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import NetworkError
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.polar import from_polar
@@ -140,14 +140,16 @@ def common_scale_error(
     """Hypothesis of a large scale error of all distances, and a start state with it; None without such an error.
 
     Each station measures lengths between reference points, and reference lengths. The ratios of measured to declared
-    length must be equal for most lengths, and differ from 1 by more than
-    `MIN_RELATIVE_DISAGREEMENT_OF_WRONG_LENGTHS`. The start state contains `instrument_parameters`, and the scale
+    length must be equal for most lengths of each of these two kinds, and differ from 1 by more than
+    `MIN_RELATIVE_DISAGREEMENT_OF_WRONG_LENGTHS`. If the reference lengths agree with the readings, the reference
+    coordinates have another scale, not the distances. The start state contains `instrument_parameters`, and the scale
     error as the parameter of the hypothesis.
     """
-    ratios = np.array(_length_ratios(recording))
+    ratios, is_reference_length = _length_ratios(recording)
     scale = float(np.median(ratios)) - 1.0 if len(ratios) > 1 else 0.0
     agrees = np.abs(ratios - 1.0 - scale) < MAX_EXCHANGE_MISCLOSURE_RATIO * abs(scale)
-    is_common = bool(agrees.sum() > max(1.0, MIN_FAULTY_FRACTION_OF_GROUP * len(ratios)))
+    kinds = [agrees[is_reference_length], agrees[~is_reference_length]]
+    is_common = agrees.sum() > 1 and all(kind.mean() > MIN_FAULTY_FRACTION_OF_GROUP for kind in kinds if len(kind))
     if not is_common or abs(scale) < MIN_RELATIVE_DISAGREEMENT_OF_WRONG_LENGTHS:
         return None
     readings = recording.readings.copy()
@@ -163,8 +165,8 @@ def common_scale_error(
     return hypothesis, NetworkState(*network, instrument_parameters, np.array([scale]))
 
 
-def _length_ratios(recording: Recording) -> list[float]:
-    """Ratio of each measured length to its declared length: median of the stations that measured both ends.
+def _length_ratios(recording: Recording) -> tuple[Floats, Bools]:
+    """Ratios (k,) of measured to declared lengths, medians over stations; flags (k,) of the reference lengths.
 
     The declared lengths are the reference lengths, and the lengths between reference points with three coordinates.
     """
@@ -178,9 +180,11 @@ def _length_ratios(recording: Recording) -> list[float]:
         (i, j): float(np.linalg.norm(place_by_index[i] - place_by_index[j]))
         for i, j in combinations(list(place_by_index)[:MAX_COMPARED_TARGETS], 2)
     }
+    reference_lengths = set()
     for distance in recording.gauge.distance:
         i, j = (recording.targets.index(name) for name in (distance.from_, distance.to))
         length_by_ends[i, j] = distance.length_mm * MILLIMETRE
+        reference_lengths.add((i, j))
     ratios_by_ends: dict[tuple[int, int], list[float]] = {}
     clouds = target_points_by_station(from_polar(recording.readings), recording.station, recording.target)
     for cloud in clouds.values() if length_by_ends else ():
@@ -189,4 +193,5 @@ def _length_ratios(recording: Recording) -> list[float]:
             if length > MIN_COMPARED_LENGTH and i in point_by_target and j in point_by_target:
                 measured = float(np.linalg.norm(point_by_target[i] - point_by_target[j]))
                 ratios_by_ends.setdefault((i, j), []).append(measured / length)
-    return [float(np.median(ratios)) for ratios in ratios_by_ends.values()]
+    medians = np.array([np.median(ratios) for ratios in ratios_by_ends.values()])
+    return medians, np.array([ends in reference_lengths for ends in ratios_by_ends], dtype=bool)

@@ -290,7 +290,7 @@ def test_a_reference_point_that_is_off(size: float) -> None:
     selection = identified(wrong)
     assert the_one(selection) == ("reference-value", (), ("T12",))
     (test,) = [t for t in cause_tests(selection) if t.accepted]
-    assert finding_title(cause_test_finding(test)) == "an error of the reference point"
+    assert finding_title(cause_test_finding(test)) == "an error of the reference coordinates"
     assert np.allclose(selection.fit.state.target_points, truth.state.target_points, atol=2e-4)
 
 
