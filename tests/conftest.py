@@ -50,3 +50,13 @@ def no_notes_on_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
         terminal, "FIRST_PROGRESS_DELAY_S", 3600.0
     )  # tests of the progress shorten the delay themselves
     monkeypatch.setattr(terminal.Terminal, "print_note_on_compilation", lambda self: None)
+
+
+FIRST_MODULES = ("tests/architecture/test_quality.py", "tests/campaigns/test_campaign.py")
+"""Modules that start first: the type check takes a minute, and one process compiles the solver for all others."""
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Order of the tests: the modules that start first, then all others in the order of their names."""
+    items.sort(key=lambda item: not item.nodeid.startswith(FIRST_MODULES))

@@ -268,6 +268,7 @@ def test_one_station_is_refused(tmp_path: Path) -> None:
         lt.accept({**SHEET, "recording": "one"}, tmp_path)
 
 
+@pytest.mark.long
 def test_uncertainty_of_a_network_length_holds_over_many_networks():
     """Both ends of a length share most of their errors: U / 2 is the spread of the length's error, for each kind."""
     sheet = Specification(

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 import ltsim
+from tests.architecture.syntax import tree_of
 
 PACKAGE = Path(ltsim.__file__).parent
 PRONOUNS = (
@@ -78,7 +79,7 @@ def described(node: ast.FunctionDef | ast.ClassDef) -> set[str]:
 def documented() -> Iterator[tuple[str, ast.FunctionDef | ast.ClassDef]]:
     """Place and node of each function and class."""
     for file in sorted(PACKAGE.rglob("*.py")):
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        for node in ast.walk(tree_of(file)):
             if isinstance(node, ast.FunctionDef | ast.ClassDef):
                 yield f"{file.relative_to(PACKAGE.parent)}:{node.lineno}: {node.name}", node
 
@@ -123,7 +124,7 @@ def names_of_package() -> set[str]:
     """All identifiers, modules, and words of string constants of the package."""
     names = {part.removesuffix(".py") for path in PACKAGE.rglob("*") for part in path.relative_to(PACKAGE.parent).parts}
     for file in PACKAGE.rglob("*.py"):
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        for node in ast.walk(tree_of(file)):
             fields = ("id", "attr", "name", "arg", "module", "asname")
             texts = [getattr(node, field, None) for field in fields]
             texts += [node.value] if isinstance(node, ast.Constant) else []
@@ -139,7 +140,7 @@ def test_names_in_docstrings_exist() -> None:
     strange = [
         f"{file.relative_to(PACKAGE.parent)}:{line}: {quoted}"
         for file in sorted(PACKAGE.rglob("*.py"))
-        for line, text in strings(ast.parse(file.read_text(encoding="utf-8")))
+        for line, text in strings(tree_of(file))
         for quoted in re.findall(r"(?<!`)`([A-Za-z_][\w.]*)(?:\(\))?`(?!`)", text)
         if quoted not in names and not all(part in names for part in quoted.split("."))
     ]
@@ -150,7 +151,7 @@ def test_docstrings_begin_with_what_they_describe() -> None:
     clauses = [
         f"{file.relative_to(PACKAGE.parent)}:{line}: {text.splitlines()[0][:60]}"
         for file in sorted(PACKAGE.rglob("*.py"))
-        for line, text in strings(ast.parse(file.read_text(encoding="utf-8")))
+        for line, text in strings(tree_of(file))
         if NO_NOUN.match(text)
     ]
     assert not clauses, "\n".join(["begin with a noun phrase:", *clauses])

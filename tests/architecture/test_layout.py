@@ -16,6 +16,7 @@ import pytest
 import ltsim
 from ltsim import effects
 from ltsim.physics.effects.effect import Effect
+from tests.architecture.syntax import tree_of
 
 PACKAGE = Path(ltsim.__file__).parent
 MODULES = sorted(PACKAGE.rglob("*.py"))
@@ -53,8 +54,7 @@ def test_catalogue_names_each_effect_once() -> None:
 
 def test_a_value_given_to_a_cached_property_has_its_name() -> None:
     """A value under another name in the dictionary of an object would never be used."""
-    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in MODULES]
-    nodes = [node for tree in trees for node in ast.walk(tree)]
+    nodes = [node for path in MODULES for node in ast.walk(tree_of(path))]
     cached = {
         n.name
         for n in nodes
@@ -72,19 +72,22 @@ def test_a_value_given_to_a_cached_property_has_its_name() -> None:
     assert given and given <= cached
 
 
-@pytest.mark.parametrize("path", MODULES, ids=named)
-def test_module_is_small_enough_to_read(path: Path) -> None:
-    lines = len(path.read_text().splitlines())
-    assert lines <= LARGEST, f"{named(path)} has {lines} lines: divide it"
+def test_modules_are_small_enough_to_read() -> None:
+    """All modules in one test: a test per module takes longer to distribute than to run."""
+    lengths = {named(path): len(path.read_text(encoding="utf-8").splitlines()) for path in MODULES}
+    too_long = [f"{name} has {lines} lines: divide it" for name, lines in lengths.items() if lines > LARGEST]
+    assert len(lengths) > 400 and too_long == []
 
 
-@pytest.mark.parametrize("path", MODULES, ids=named)
-def test_only_the_command_line_prints(path: Path) -> None:
-    if path.parent == PACKAGE / "cli":
-        return
-    calls = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]
-    prints = [c.lineno for c in calls if isinstance(c.func, ast.Name) and c.func.id == "print"]
-    assert not prints, f"{named(path)} prints in lines {prints}"
+def test_only_the_command_line_prints() -> None:
+    prints = [
+        f"{named(path)}, line {node.lineno}"
+        for path in MODULES
+        if path.parent != PACKAGE / "cli"
+        for node in ast.walk(tree_of(path))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "print"
+    ]
+    assert prints == []
 
 
 def test_the_map_of_the_contributors_is_true(root: Path) -> None:

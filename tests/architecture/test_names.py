@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 import ltsim
+from tests.architecture.syntax import tree_of
 
 PACKAGE = Path(ltsim.__file__).parent
 PARTS = sorted({path.relative_to(PACKAGE).parts[0].removesuffix(".py") for path in PACKAGE.rglob("*.py")})
@@ -115,7 +116,7 @@ def offences(part: str) -> list[str]:
     bad = []
     files = sorted(folder.rglob("*.py")) if folder.is_dir() else [folder.with_suffix(".py")]
     for file in (file for file in files if file.parent != LAWS):
-        names = [(1, file.stem), *defined(ast.parse(file.read_text(encoding="utf-8")))]
+        names = [(1, file.stem), *defined(tree_of(file))]
         names = [(line, name) for line, name in names if name not in KEYS]
         bad += [f"{file.relative_to(PACKAGE.parent)}:{line}: {name}" for line, name in names if words_of(name) & WORDS]
     return bad
@@ -167,7 +168,7 @@ def nameless(part: str) -> list[str]:
     """Places of a package, or of a module beside the packages, whose functions or constants have no noun."""
     folder, bad = PACKAGE / part, []
     for file in sorted(folder.rglob("*.py")) if folder.is_dir() else [folder.with_suffix(".py")]:
-        tree = ast.parse(file.read_text(encoding="utf-8"))
+        tree = tree_of(file)
         functions = [(n.lineno, n.name) for n in ast.walk(tree) if isinstance(n, ast.FunctionDef)]
         limits = [(line, name) for line, name, _ in constants(tree)]
         names = [(line, name) for line, name in functions + limits if is_without_noun(name)]
@@ -180,7 +181,7 @@ def nameless(part: str) -> list[str]:
 def test_a_parameter_is_named_by_what_it_is(part: str) -> None:
     folder, bad = PACKAGE / part, []
     for file in sorted(folder.rglob("*.py")) if folder.is_dir() else [folder.with_suffix(".py")]:
-        tree = ast.parse(file.read_text(encoding="utf-8"))
+        tree = tree_of(file)
         found = () if part == "cli" else vague_parameters(tree, ltsim.__all__)  # of a command they are options
         bad += [f"{file.relative_to(PACKAGE.parent)}:{line}: {name}" for line, name in found]
     assert not bad, "\n".join(["name the parameter with a noun:", *bad])
@@ -203,7 +204,7 @@ def test_functions_and_constants_have_a_noun(part: str) -> None:
 def test_a_constant_has_one_value() -> None:
     values: dict[str, dict[str, list[str]]] = {}
     for file in sorted(PACKAGE.rglob("*.py")):
-        for line, name, value in constants(ast.parse(file.read_text(encoding="utf-8"))):
+        for line, name, value in constants(tree_of(file)):
             place = f"{file.relative_to(PACKAGE.parent)}:{line}"
             if not name.startswith("_"):
                 values.setdefault(name, {}).setdefault(value, []).append(place)
@@ -243,7 +244,7 @@ def test_the_number_of_numeric_constants_does_not_grow(part: str) -> None:
     names = [
         f"{file.relative_to(PACKAGE.parent)}: {name}"
         for file in sorted((PACKAGE / part).rglob("*.py"))
-        for name in numeric_constants(ast.parse(file.read_text(encoding="utf-8")))
+        for name in numeric_constants(tree_of(file))
     ]
     assert len(names) <= MAX_NUMERIC_CONSTANTS[part], "\n".join(
         [f"{len(names)}: derive a further constant, or use the one of its owner", *names]

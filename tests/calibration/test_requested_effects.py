@@ -18,6 +18,7 @@ from ltsim.physics.effects.range_cyclic import RangeCyclic
 from ltsim.physics.effects.station_settling import StationSettling
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings import Recording
+from tests.families import family
 from tests.networks import drawn, network, with_effect
 
 RATE = 40e-6 / 3600
@@ -36,7 +37,7 @@ def drifting() -> Recording:
     return recording.with_readings(readings)
 
 
-@pytest.mark.parametrize("wanted", ["index-drift", "index-drift:S3", "index-drift:S3,law=visit"])
+@pytest.mark.parametrize("wanted", family(["index-drift", "index-drift:S3,law=visit", "index-drift:S3"], 2))
 def test_an_effect_is_found_with_its_uncertainty_where_and_how_it_acts(drifting: Recording, wanted: str) -> None:
     plain, found = lt.calibrate(drifting, advise=False), lt.calibrate(drifting, with_effects=[wanted], advise=False)
     (effect,) = found.effects

@@ -24,11 +24,12 @@ from ltsim.core.limits import POINTINGS_LIMIT_VARIABLE
 from ltsim.core.randomness import TRIALS_PER_STREAM, standard_normal_trials
 from ltsim.recordings.result_file import read_result
 from tests.campaigns.small import FILE
+from tests.families import family
 
 FEW = FILE.replace("trials = 600", "trials = 12").replace("[1.0, 2.0]", "[1.0]")
 
 
-@pytest.mark.parametrize("geometry", ["shared", "per-trial"])
+@pytest.mark.parametrize("geometry", family(["per-trial", "shared"]))
 def test_no_geometry_of_a_trial_outlives_its_batch(geometry: str, file: Path, tmp_path: Path) -> None:
     """Each geometry kept itself alive through a cached function: 4,096 trials took 900 MB."""
     file.write_text(FEW.replace("trials = 12", f'trials = 12\ngeometry = "{geometry}"'))
@@ -48,7 +49,7 @@ def living_truths() -> list[object]:
     return [found for found in gc.get_objects() if type(found) in (TrueNetwork, TrialBatch)]
 
 
-@pytest.mark.parametrize("geometry", ["shared", "per-trial"])
+@pytest.mark.parametrize("geometry", family(["shared", "per-trial"]))
 def test_a_large_network_is_calibrated_in_small_batches(
     geometry: str, file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

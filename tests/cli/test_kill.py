@@ -111,7 +111,7 @@ def require_same_result(verb: str, out: Path, whole: dict[str, bytes]) -> None:
     assert not [path for path in out.rglob("*") if path.name.startswith(".")]
 
 
-@pytest.mark.parametrize("verb", [v if v == "plan" else pytest.param(v, marks=pytest.mark.long) for v in VERBS])
+@pytest.mark.parametrize("verb", [v if v == "convert" else pytest.param(v, marks=pytest.mark.long) for v in VERBS])
 def test_a_verb_that_is_killed_while_it_writes_works_again(
     verb: str, inputs: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

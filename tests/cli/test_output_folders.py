@@ -28,13 +28,13 @@ LONG_WORDS = {
     ("report", "folder"): "report out",
     ("calibrate", "out"): "calibrate rec --out out",
     ("uncertainty", "out"): "uncertainty tasks.toml --out out",
-}
-WORDS = {
     ("accept", "out"): "accept acceptance.toml --out out",
     ("adjust", "out"): "adjust rec --out out",
-    ("bench", "out"): "bench bench.csv --out out",
     ("check", "out"): "check rec --out out",
     ("compare", "out"): "compare rec rec --out out",
+}
+WORDS = {
+    ("bench", "out"): "bench bench.csv --out out",
     ("convert", "destination"): "convert rec out",
     ("correct", "out"): "correct rec --calibration cal --out out",
     ("evaluate", "out"): "evaluate rec --out out",

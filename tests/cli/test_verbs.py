@@ -19,6 +19,7 @@ from ltsim.core.notation import align_columns
 from ltsim.physics.effects import CATALOGUE, catalogue_entry
 from ltsim.recordings import read
 from ltsim.simulation.truth import read_truth
+from tests.families import family
 
 
 @pytest.fixture(scope="module")
@@ -269,7 +270,7 @@ def test_the_version(capsys) -> None:
     assert capsys.readouterr().out == f"ltsim {version('ltsim')}\n"
 
 
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+@pytest.mark.parametrize("shell", family(["bash", "zsh", "fish"]))
 def test_the_shell_completes_verbs_and_options(shell: str) -> None:
     command = [sys.executable, "-c", "from ltsim.cli.main import main; main()"]
     words = {
@@ -330,7 +331,7 @@ def test_a_plain_installation_does_all_but_campaigns(workplace: Path, tmp_path: 
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize("command", ["campaign mine.toml", "demo"])
+@pytest.mark.parametrize("command", family(["campaign mine.toml", "demo"]))
 def test_campaigns_say_which_extra_they_need(command: str, tmp_path: Path) -> None:
     done = without_extras([command], tmp_path)
     assert done.returncode == 2

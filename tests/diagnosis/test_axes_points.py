@@ -11,6 +11,7 @@ from ltsim.core.arrays import Floats
 from ltsim.diagnosis.diagnose import diagnose
 from ltsim.physics.effects.target_moved import TargetMoved
 from ltsim.recordings.recording import Recording
+from tests.families import family
 from tests.networks import network
 
 
@@ -26,7 +27,7 @@ def hall_with_axes(motion: Floats, error: Floats) -> Recording:
     return with_axes_from_points(recording.with_readings(recording.readings + change), declared, "hall.csv")
 
 
-@pytest.mark.parametrize("motion", [np.array([6e-5, -5e-5, 4e-5]), np.array([3e-4, -2e-4, 1e-4])])
+@pytest.mark.parametrize("motion", family([np.array([6e-5, -5e-5, 4e-5]), np.array([3e-4, -2e-4, 1e-4])]))
 def test_right_coordinates_of_a_target_that_moved_are_not_blamed(motion: Floats) -> None:
     (finding,) = diagnose(hall_with_axes(motion, np.zeros(3))).findings
     assert (finding.effect, finding.where.targets) == ("target-moved", ("T02",))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import cache
 
 import numpy as np
 import pytest
@@ -63,10 +64,21 @@ CASES = [
 ]
 
 
+@cache
+def diagnosis_and_truth(name, values, fields):
+    """Diagnosis of a recording that conceals an effect, computed once for all tests, and the values given [SI]."""
+    recording, truth = concealing(name, 11, list(values), **dict(fields))
+    return diagnose(recording, seed=1), truth
+
+
+def case_of(name, fields, values):
+    """Diagnosis of a case, and the values that its effect was given [SI]."""
+    return diagnosis_and_truth(name, tuple(values), tuple(fields.items()))
+
+
 @pytest.mark.parametrize(("name", "fields", "values"), CASES)
 def test_a_concealed_effect_is_named_placed_and_sized(name, fields, values):
-    recording, truth = concealing(name, 11, values, **fields)
-    found = diagnose(recording, seed=1)
+    found, truth = case_of(name, fields, values)
     assert found.verdict == "mismatch"
     first = found.findings[0]
     assert first.effect == name
@@ -79,6 +91,7 @@ def test_a_concealed_effect_is_named_placed_and_sized(name, fields, values):
         assert abs(estimate.value - value / factor) < 4 * estimate.sigma, estimate
 
 
+@pytest.mark.long
 def test_two_effects_are_both_found():
     recording, state = workshop(5)
     sightings = sightings_at_state(recording, state)
@@ -123,6 +136,7 @@ def test_what_the_last_move_left_behind_is_no_noise():
     assert "|move-azimuth|" in first.formula
 
 
+@pytest.mark.long
 def test_neighbours_that_move_together_are_found_together():
     recording, state = workshop(13)
     sightings = sightings_at_state(recording, state)
@@ -221,11 +235,12 @@ def slow_wall(s):
     return design_from_front_face_corrections(s, elevation=1.0 - np.exp(-since / 1500.0))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("law", "carrier", "told"),
     [
         (one_row_late, "distance", "the target before, another at each"),
-        pytest.param(slow_wall, "vertical index", "hall with a lag of 2", marks=pytest.mark.long),
+        (slow_wall, "vertical index", "hall with a lag of 2"),
     ],
 )
 def test_what_lags_or_goes_by_what_came_before_is_told_in_such_words(law, carrier, told):
@@ -252,6 +267,7 @@ def test_overwhelming_evidence_states_more_than_99_percent():
     assert first.evidence.probability > 0.99
 
 
+@pytest.mark.long
 def test_a_constant_beyond_its_prior_is_told_as_that_and_not_as_physics():
     values = drawn(misalignment_construction(), 1)
     values[misalignment_construction().parameter_names.index("range-offset")] = 60e-6
@@ -263,6 +279,7 @@ def test_a_constant_beyond_its_prior_is_told_as_that_and_not_as_physics():
     assert "zero with a standard deviation of 10 um" in first.sentence
 
 
+@pytest.mark.long
 def test_a_noisy_station_is_noise_and_not_a_shift():
     recording, _ = workshop(7, repeats=1)
     extra = random_stream(7, "more").standard_normal(recording.readings.shape) * recording.reading_sigmas()
@@ -333,15 +350,17 @@ def test_p_values_of_clean_recordings_are_uniform():
 
 
 def test_the_files_say_what_the_diagnosis_says(tmp_path):
-    recording, (truth,) = concealing("station-weather", 4, [1e-6], stations=("S2",))
-    found = diagnose(recording)
+    name, fields, values = CASES[0]
+    found, truth = case_of(name, fields, values)
+    recording = found.arrays.baseline_adjustment.recording
     write_diagnosis(found, tmp_path)
     content = json.loads((tmp_path / "diagnosis.json").read_text())
     assert content["format"] == "ltsim-diagnosis/1"
     finding = content["findings"][0]
-    assert (finding["effect"], finding["where"]["stations"]) == ("station-weather", ["S2"])
-    (size,), (parameter,) = finding["parameters"], find_effect("station-weather")(("S2",)).parameters
-    assert abs(size["value"] - truth / parameter.si_per_display_unit) < 4 * size["sigma"]
+    assert (finding["effect"], finding["where"]["targets"]) == (name, list(fields["targets"]))
+    parameters = find_effect(name)(**fields).parameters
+    for size, value, parameter in zip(finding["parameters"], truth, parameters, strict=False):
+        assert abs(size["value"] - value / parameter.si_per_display_unit) < 4 * size["sigma"]
     lines = (tmp_path / "targets.csv").read_text().splitlines()
     assert len(lines) == 1 + len(recording.targets)
     assert lines[0].startswith("target,x_mm,y_mm,z_mm,sigma_x_mm")

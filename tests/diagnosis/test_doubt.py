@@ -24,7 +24,6 @@ from ltsim.diagnosis.selection_state import SelectionState
 from ltsim.physics.effects import find_effect
 from ltsim.physics.model.construction import misalignment_construction
 from tests.diagnosis.test_diagnose import concealing, workshop
-from tests.families import family
 from tests.networks import network
 
 
@@ -111,7 +110,8 @@ def test_outliers_share_their_place_with_those_that_are_small():
     assert not single_error_mask(selection.fit).any()
 
 
-@pytest.mark.parametrize("last", family([True, False]))
+@pytest.mark.long
+@pytest.mark.parametrize("last", [True, False])
 def test_a_wrong_reading_of_a_last_pointing_may_be_a_target_that_moved(last):
     recording, _ = workshop(2)
     seen = np.flatnonzero(recording.target == recording.target[40])

@@ -68,7 +68,8 @@ def test_no_centring_errors_without_displacements_or_occupations() -> None:
 
 
 def test_a_diagnosis_reports_centring_errors_and_nothing_else() -> None:
-    diagnosis = diagnose(centred_anew(13, SIGMA))
+    recording = centred_anew(13, SIGMA)
+    diagnosis = diagnose(recording.select(recording.target % 2 == 0))
     (finding,) = diagnosis.findings
     assert finding.formula == CentringVariance(occupation_grouping="target_setup").text
     assert finding.sentence.startswith("Centring errors: reflectors that are centred anew at each occupation")

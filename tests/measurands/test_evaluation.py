@@ -139,6 +139,7 @@ def test_it_is_said_where_linear_propagation_fails() -> None:
     assert any("bore, roundness" in sentence for sentence in found.warnings)
 
 
+@pytest.mark.long
 def test_spread_of_simulated_tasks_is_what_was_predicted_and_falls_by_the_budget() -> None:
     """Readings are drawn with noise and with the type B effects, each adjusted anew, exactly."""
     recording, _ = network(seed=None, values=drawn(misalignment_construction(), 7))

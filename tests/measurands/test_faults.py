@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,12 @@ def uncertainty_of_length(recording: Recording) -> lt.Uncertainty:
     return lt.uncertainty(recording, {"task": [task], "monte_carlo": {"digits": 1}})
 
 
+@cache
+def clean_uncertainty() -> lt.Uncertainty:
+    """Uncertainty of the length in the recording without any error, computed once for all tests."""
+    return uncertainty_of_length(workshop())
+
+
 def wrong_constant() -> Recording:
     return longer(rows_of("S3"), offset=PRISM_CONSTANT)
 
@@ -38,7 +45,7 @@ def distorted() -> Recording:
 
 
 def test_an_uncertainty_corrects_a_target_that_moved_and_a_wrong_constant() -> None:
-    clean = uncertainty_of_length(workshop())
+    clean = clean_uncertainty()
     assert (clean.tests, clean.corrections_text, clean.uncertainty_factor) == ((), "", 1.0)
     for recording, place in ((moved_target(0.25e-3)[0], "T07"), (wrong_constant(), "S3")):
         found = uncertainty_of_length(recording)
@@ -53,7 +60,7 @@ def test_an_uncertainty_corrects_a_target_that_moved_and_a_wrong_constant() -> N
 
 
 def test_an_uncertainty_is_larger_where_the_readings_contradict_the_model() -> None:
-    clean, found = uncertainty_of_length(workshop()), uncertainty_of_length(distorted())
+    clean, found = clean_uncertainty(), uncertainty_of_length(distorted())
     assert found.sigma0 is not None
     assert found.uncertainty_factor == found.sigma0 > 1.2
     observed = [{p.source: p.standard_uncertainty for p in u.results[0].budget} for u in (clean, found)]

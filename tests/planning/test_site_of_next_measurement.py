@@ -19,6 +19,7 @@ from ltsim.planning.result import load_plan_and_scenario
 from ltsim.planning.search_inputs import plan_without_search
 from ltsim.planning.site_axes import with_station_poses_on_site
 from ltsim.recordings import Recording
+from tests.families import family
 
 MACHINE = np.array([[3700.0, 2900.0, 0.0], [5300.0, 4100.0, 2200.0]])
 """Opposite corners of the machine [mm]."""
@@ -160,7 +161,7 @@ def with_wrong_ball(recording: Recording, station: int, radius_difference: float
     return recording.with_readings(readings)
 
 
-@pytest.mark.parametrize("radius_difference", [0.018, 0.3])
+@pytest.mark.parametrize("radius_difference", family([0.018, 0.3]))
 def test_a_wrong_ball_does_not_move_the_network_on_the_site(
     radius_difference: float, hall: Path, measured: Recording
 ) -> None:

@@ -72,7 +72,7 @@ def test_another_reflector_in_every_nest_of_a_set_up(length_mm: float, cause: st
     assert np.sqrt(np.mean(error**2)) < 20e-6
 
 
-@pytest.mark.parametrize("length_mm", [7.9375, *family([-12.7])])
+@pytest.mark.parametrize("length_mm", family([-12.7, 7.9375]))
 def test_another_reflector_in_every_nest_of_a_set_up_without_repeated_pointings(length_mm: float) -> None:
     """Without repeats, it was reported as scale errors and noise of the set-up and as heights of single targets."""
     recording = displaced(1e-3 * length_mm * hall()[1])
@@ -90,7 +90,7 @@ def test_random_displacements_are_no_cause_without_repeated_pointings() -> None:
     assert not {c.hypothesis.kind for c in selection.selected_hypotheses} & {"centring", "reflector-radius"}
 
 
-@pytest.mark.parametrize("sigma_mm", [0.1, 2.0])
+@pytest.mark.parametrize("sigma_mm", family([0.1, 2.0]))
 def test_reflectors_of_a_set_up_displaced_at_random(sigma_mm: float) -> None:
     shape = hall()[1].shape
     selection = identified(displaced(1e-3 * sigma_mm * random_stream(5, "centring").standard_normal(shape)))
