@@ -2,7 +2,7 @@
 
     python -m experiments 11 [noise] [course] [transfer] [lines] [index] [checks] [diagnoses]
 
-Reads ../shared/recordings beside the checkout; writes figures found.
+The steps read ../shared/recordings, and write only results.
 """
 
 import json
@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from experiments.common import Made, Options, run_steps, show_table, write_figure
+from experiments.common import Options, RunRecord, run_steps, show_table, write_figure
 from ltsim.adjustment import adjust
 from ltsim.adjustment.fieldcheck.setup_model import two_face_pairs
 from ltsim.calibration.calibration_series import CalibrationSeries
@@ -37,7 +37,7 @@ Rows = list[dict[str, object]]
 
 
 def noise_of_recordings(out: Path) -> Noise:
-    """Noise in `noise.json`, estimated again if the file is absent."""
+    """Noise in `noise.json`, which is estimated first if the file does not exist."""
     file = out / "noise.json"
     if not file.is_file():
         noise(out)
@@ -45,6 +45,7 @@ def noise_of_recordings(out: Path) -> Noise:
 
 
 def noise(out: Path) -> None:
+    """Estimate the noise of the recordings, and list chi-square, variance factors and rejected pairs of each epoch."""
     estimate = estimated_noise()
     text = json.dumps({"estimated": estimate.model_dump(), "authors": AUTHORS.model_dump()}, indent=1)
     (out / "noise.json").write_text(text + "\n")
@@ -63,6 +64,7 @@ def noise(out: Path) -> None:
 
 
 def course(out: Path) -> None:
+    """Calibrate every epoch with 16 and with 6 parameters, and list the parameters and their changes."""
     estimate = noise_of_recordings(out)
     recordings = {name: snooped(epoch(name, estimate))[0] for name in EPOCHS}
     for label, construction in (("16", misalignment_construction()), ("6", SIX)):
@@ -72,7 +74,7 @@ def course(out: Path) -> None:
         history = History.from_series(CalibrationSeries.from_labelled(calibrations))
         content = history.content()
         (out / f"history_{label}.json").write_text(json.dumps(content, indent=1) + "\n")
-        if construction is SIX:  # sixteen courses are a table
+        if construction is SIX:  # a figure of sixteen parameters would not be readable
             write_figure(out / f"history_{label}.svg", history.plot())
         show_table(out / f"changes_{label}.csv", [
             {"from": c["from"], "to": c["to"], "chi2": round(c["chi2"], 1), "dof": c["dof"],
@@ -89,7 +91,9 @@ def course(out: Path) -> None:
 
 
 CEILING = "ceiling: 16 parameters on the set-up they were fitted to"
-"""What the model removes from the very pairs it was fitted to: nothing that transfers can do better."""
+"""Name of the method that removes parameters from the pairs of faces from which they were estimated: an upper limit for
+every method.
+"""
 METHODS = (
     ("16 parameters", misalignment_construction(), False, False),
     (DEFAULT, misalignment_construction(), False, False),
@@ -99,11 +103,12 @@ METHODS = (
     ("6 parameters, outliers out", SIX, True, False),
     (CEILING, misalignment_construction(), True, False),
 )
-"""Name, what is estimated, whether outliers of the calibrating set-up go, whether other epochs tell the prior."""
+"""Name; construction; True if outliers of the calibrating set-up are rejected; True if other epochs provide the prior.
+"""
 
 
 def transfer(out: Path) -> None:
-    """Half differences of each set-up before and after parameters of the other: each transfer, and all of a method."""
+    """Evaluate half face differences of each set-up before and after correction by the other set-up's parameters."""
     estimate, parts = noise_of_recordings(out), []
     raw = {(name, s): set_up(epoch(name, estimate), s) for name in EPOCHS for s in (0, 1)}
     good = {key: clean(two_face_pairs(r), r) for key, r in raw.items()}
@@ -127,15 +132,15 @@ def transfer(out: Path) -> None:
     total = [shares(pairs, "all", "method"), shares(clean_pairs, "clean", "method")]
     for kind, whole in zip((pairs, clean_pairs), total, strict=True):
         medians = shares(kind, "", "method", "epoch", "from", digits=9).groupby("method").median(numeric_only=True)
-        for word in ("across", "elevation"):
-            whole[f"median share {word}"] = whole.method.map(medians[f"share {word}"]).round(3)
+        for direction in ("across", "elevation"):
+            whole[f"median share {direction}"] = whole.method.map(medians[f"share {direction}"]).round(3)
     order = pd.concat(total).sort_index(kind="stable")
     show_table(out / "transfer.csv", every[every.method != CEILING].to_dict("records"))
     show_table(out / "transfer_summary.csv", order.to_dict("records"))
 
 
 def shares(pairs: pd.DataFrame, kind: str, *by: str, digits: int = 3) -> pd.DataFrame:
-    """Rms of squared half differences before and after in um and urad, and the share removed, a row a group."""
+    """Rms half face differences [um, urad] before and after correction, and the fraction removed, for each group."""
     groups = pairs.groupby([*by], sort=False)
     rms, table = groups[[*BEFORE, *AFTER]].mean() ** 0.5, groups.size().map(f"{{}} {kind}".format).to_frame("pairs")
     for before, after, unit in zip(BEFORE, AFTER, UNITS, strict=True):
@@ -145,7 +150,7 @@ def shares(pairs: pd.DataFrame, kind: str, *by: str, digits: int = 3) -> pd.Data
 
 
 def lines(out: Path) -> None:
-    """Lengths by interferometer against coordinates: the network's, and those of one face of one set-up."""
+    """Compare interferometer lengths with lengths from coordinates: of the network, and of one face of one set-up."""
     estimate, parts, back = noise_of_recordings(out), [], []
     for name in EPOCHS:
         recording = snooped(epoch(name, estimate))[0]
@@ -184,7 +189,7 @@ def lines(out: Path) -> None:
 
 
 def gaps(spans: pd.DataFrame, names: Sequence[str], points: Floats) -> pd.DataFrame:
-    """Lengths [um] between points (n, 3) [m] less those by interferometer, where both ends have coordinates."""
+    """Lengths [um] between points (n, 3) [m] minus interferometer lengths, if both ends have coordinates."""
     place = dict(zip(names, points, strict=True))
     measured = spans[spans["first"].isin(place) & spans.second.isin(place)]
     lengths = [np.linalg.norm(place[b] - place[a]) for a, b in zip(measured["first"], measured.second, strict=True)]
@@ -192,7 +197,10 @@ def gaps(spans: pd.DataFrame, names: Sequence[str], points: Floats) -> pd.DataFr
 
 
 def index(out: Path) -> None:
-    """Is the vertical index one number? Half differences in elevation: offset and slope of each set-up, one b_z."""
+    """Test whether the vertical index is constant, from half face differences in elevation.
+
+    The table has the difference between the set-ups and the drift in each set-up.
+    """
     estimate, rows = noise_of_recordings(out), []
     for name in EPOCHS:
         recording = snooped(epoch(name, estimate))[0]
@@ -217,7 +225,7 @@ def index(out: Path) -> None:
 
 
 def checks(out: Path) -> None:
-    """Three suspects of the diagnoses in every epoch: half difference in range, gaps to the interferometer."""
+    """Test three reported causes in every epoch: half differences in range, and differences from the interferometer."""
     estimate, rows = noise_of_recordings(out), []
     for name in EPOCHS:
         recording = epoch(name, estimate)
@@ -236,7 +244,7 @@ def checks(out: Path) -> None:
 
 
 def diagnoses(out: Path) -> None:
-    """`ltsim diagnose` on every epoch, with the default noise and with the estimated noise; half a minute each."""
+    """Diagnose every epoch with the default noise and with the estimated noise; half a minute for each diagnosis."""
     rows: Rows = []
     for label, noise_of_tracker in (("default", None), ("estimated", noise_of_recordings(out))):
         for name in EPOCHS:
@@ -249,6 +257,7 @@ def diagnoses(out: Path) -> None:
 
 
 def in_words(finding: dict) -> str:
+    """Effect, place, parameters, probability and equivalent effects of a finding in one line."""
     where = finding["where"]
     place = " ".join([*where["stations"], *where["targets"], *where["observables"]])
     sizes = ", ".join(f"{p['name']} {p['value']:.3g} +- {p['sigma']:.2g} {p['unit']}".strip()
@@ -261,7 +270,7 @@ def in_words(finding: dict) -> str:
 STEPS = {f.__name__: f for f in (noise, course, transfer, lines, index, checks, diagnoses)}
 
 
-def run(given: Options) -> Made:
-    """Run the named steps, or all."""
-    run_steps(given, STEPS)
-    return Made()
+def run(options: Options) -> RunRecord:
+    """Run the steps that the command line names, or all steps."""
+    run_steps(options, STEPS)
+    return RunRecord()

@@ -1,4 +1,4 @@
-"""What a network's least squares leaves of a cause, and how far off its targets come out; linear about the truth."""
+"""Strength of a cause after the least-squares adjustment, and error of the targets, linearised at the truth."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,35 +10,36 @@ from .hall import LENGTH_SIGMA, Hall
 from .tracker import GUARANTEED, Array, Change, Index, Pointings, within_a_turn
 
 STEPS = np.full(3, 1e-4)
-"""[m, rad] Of central differences."""
+"""Step of central differences in each coordinate [m] or rotation [rad]."""
 
 
 @dataclass(frozen=True)
 class Network:
-    """Whitened equations: targets, constants of each tracker, shifts and turns of all stations but the first.
+    """Whitened observation equations.
 
-    Rows: readings (3 n), lengths (g), guarantees (16 K).
+    Unknowns: targets, constants of each tracker, shifts and rotations of all stations but the first. Rows: readings (3
+    n), reference lengths (g), guarantees of the constants (16 K).
     """
 
     hall: Hall
     design: Array
     base: Array
-    """(n, 3) Readings without noise and cause."""
+    """(n, 3) Readings without noise and without a cause."""
     basis: Array
-    """Orthonormal columns that span the design."""
+    """Orthonormal basis of the columns of the design matrix."""
 
     @classmethod
     def of(cls, hall: Hall) -> Self:
-        """The equations of a hall."""
+        """Observation equations of a hall."""
         design = _design(hall)
         return cls(hall, design, hall.pointings.readings(), np.linalg.qr(design)[0])
 
     def signature(self, change: Change) -> Array:
-        """(m,) Whitened change of the readings."""
+        """(m,) Whitened change of the readings and lengths."""
         return self.whitened(self.hall.pointings.readings(change) - self.base, change.lengths)
 
     def whitened(self, readings: Array, lengths: Array | None = None) -> Array:
-        """(m,) Differences of the readings (n, 3) and of the known lengths (g,) over their standard deviations."""
+        """(m,) Differences of readings (n, 3) and lengths (g,) divided by their standard deviations."""
         difference = readings.copy()
         difference[:, 1] = within_a_turn(difference[:, 1])
         whole = self._rows(difference / self.hall.sigma)
@@ -50,31 +51,31 @@ class Network:
         return np.concatenate([readings.ravel(), np.zeros(len(self.design) - readings.size)])
 
     def strengths(self, change: Change) -> Array:
-        """(4,) Strength of a change by observable and in the lengths; the sum is the strength.
+        """(4,) Strength of a change in each observable and in the lengths; their sum is the strength of the change.
 
-        Noncentrality that is left after the least squares; for noise the expected drop of minus twice the restricted
-        log likelihood.
+        The strength is the noncentrality after the least squares; for noise it is the expected decrease of minus twice
+        the restricted log likelihood.
         """
         if change.variance is not None:
             return self.noise_strengths(1.0 + change.variance)
         return self.mean_strengths(self.signature(change))
 
     def mean_strengths(self, whole: Array) -> Array:
-        """(4,) Noncentrality of a whitened change (m,), by observable and in the lengths: change times its residual."""
+        """(4,) Noncentrality of a whitened change (m,) by observable and in the lengths: change times its residual."""
         return self._by_observable(whole * self.residual(whole))
 
     def noise_strengths(self, factor: Array) -> Array:
-        """(4,) Expected drop of minus twice the restricted log likelihood, for factors (n, 3) on the variance."""
+        """(4,) Expected decrease of minus twice the restricted log likelihood, for variance factors (n, 3)."""
         factor = factor.ravel()
         return self._by_observable(self.redundancy * (factor - 1.0 - np.log(factor)))
 
     @property
     def redundancy(self) -> Array:
-        """(3 n,) Redundancy of each reading."""
+        """(3 n,) Redundancy number of each reading."""
         return np.asarray(1.0 - (self.basis[: self.base.size] ** 2).sum(axis=1))
 
     def residual(self, whole: Array) -> Array:
-        """(m, ...) Projection of whitened columns off the unknowns of the adjustment."""
+        """(m, ...) Residuals of whitened columns after adjustment of the unknowns."""
         return np.asarray(whole - self.basis @ (self.basis.T @ whole))
 
     def _by_observable(self, each: Array) -> Array:
@@ -84,9 +85,10 @@ class Network:
     def target_error(
         self, noise: tuple[Array, Array], change: Change, modelled_changes: Sequence[Change] = ()
     ) -> float:
-        """Error [um, rms] of the targets after the best rigid fit; `told`: whose sizes are estimated too.
+        """Rms error [um] of the targets after the best rigid fit.
 
-        `noise`: standard noise of the readings (n, 3) and of the lengths (g,).
+        `noise` is standard normal noise of the readings (n, 3) and lengths (g,). The sizes of `modelled_changes` are
+        estimated in addition to the unknowns.
         """
         points, constants = self.hall.pointings.points, self.hall.pointings.constants
         spread = np.ones(self.base.shape) if change.variance is None else np.sqrt(1.0 + change.variance)
@@ -109,7 +111,7 @@ class Network:
 
 
 def _design(hall: Hall) -> Array:
-    """(m, q) Whitened derivatives."""
+    """(m, q) Whitened design matrix."""
     p, bars = hall.pointings, np.arange(len(hall.bars))
     targets, trackers, stations = len(p.points), len(p.constants), len(p.position)
     readings = np.concatenate(
@@ -132,7 +134,7 @@ def _design(hall: Hall) -> Array:
 
 
 def _derivatives(p: Pointings, what: str, owner: Index, owners: int, steps: Array) -> Array:
-    """(n, 3, owners * k) Derivatives of the readings by a part of `Change` that each owner has k columns of."""
+    """(n, 3, owners * k) Derivatives of the readings by a part of `Change`, with k columns for each owner."""
     derivatives = np.zeros((len(p), 3, owners, len(steps)))
     for column, step in enumerate(np.diag(steps)):
         moved = np.tile(step, (len(p), 1))

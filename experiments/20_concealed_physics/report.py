@@ -15,7 +15,9 @@ from .score import Row
 ROWS = "recordings.jsonl"
 EDGES = (0.0, 0.5, 0.7, 0.9, 0.99, 1.0)
 LEVEL, ENOUGH = 0.05, 40
-"""Rate of false alarms at which detections are compared; least number of clean recordings for its limit."""
+"""False alarm rate (`LEVEL`) at which detections are compared, and the smallest number of clean recordings from which
+the corresponding limit is estimated (`ENOUGH`).
+"""
 WORSE = 1.05
 QUESTIONS = {
     "detected": "detected",
@@ -58,9 +60,9 @@ def summarise(rows: Sequence[Row]) -> dict[str, Answer]:
             answers[f"false alarms, {hall}"] = _proportion(of, "detected")
             continue
         for key, question in QUESTIONS.items():
-            asked = [r for r in of if key != "place" or r.get("named", r.get("unknown"))]
+            scored = [r for r in of if key != "place" or r.get("named", r.get("unknown"))]
             if any(key in r for r in of):
-                answers[f"{kind} {hall} {strength}: {question}"] = _proportion(asked, key)
+                answers[f"{kind} {hall} {strength}: {question}"] = _proportion(scored, key)
         for level, word in ((0.25, "lower quartile"), (0.5, "median"), (0.75, "upper quartile")):
             answers[f"{kind} {hall} {strength}: explained fraction of the signal, {word}"] = _quantile(
                 of, "explained_fraction", level
@@ -83,8 +85,8 @@ def summarise(rows: Sequence[Row]) -> dict[str, Answer]:
             *bin_[1:]
         )
         if answer["total"]:
-            answer["probabilities"] = float(np.mean(bin_[0]))
-            answer["holds"] = answer["low"] <= answer["probabilities"] <= answer["high"]
+            answer["mean_probability"] = float(np.mean(bin_[0]))
+            answer["holds"] = answer["low"] <= answer["mean_probability"] <= answer["high"]
     for hall in sorted({r["hall"] for r in answered}):
         seconds = [r["seconds"] for r in answered if r["hall"] == hall]
         answers[f"seconds for a recording, {hall}, median"] = {"value": float(np.median(seconds))}
@@ -144,12 +146,12 @@ def rewrite_report(out: Path) -> None:
 
 
 def _without_nulls_behind(line: list[Any]) -> list[Any]:
-    """Row up to its last value."""
+    """Row without null values at its end."""
     return line[: max((i + 1 for i, value in enumerate(line) if value is not None), default=0)]
 
 
 def _short(content: Any) -> Any:
-    """Numbers with six digits."""
+    """Content with numbers rounded to six digits."""
     return json.loads(json.dumps(content), parse_float=lambda text: float(f"{float(text):.6g}"))
 
 

@@ -17,24 +17,24 @@ from .measure import Model
 Row = dict[str, Any]
 LIMIT = 1.959964
 SHOWN = 0.1
-"""Fraction of the strength from which an observable counts as one in which a law shows."""
+"""Fraction of the strength above which an observable belongs to the observables of a law."""
 OVERLAP = 0.5
-"""Fraction of common names from which several stations or targets are right."""
+"""Fraction of common names from which several stations or targets count as correct."""
 RIGHT = 0.75
-"""Fraction of the true signal from which a model describes it correctly; half of the true size explains as much."""
+"""Fraction of the true signal from which a model counts as correct; a model of half the true size explains 0.75."""
 HIGH = 0.9
 GEOMETRY = {"distance", "azimuth", "elevation", "incidence", "height", "place", "face"}
 """Covariates of the pointing itself, which need not be reported for an instrument constant or a motion."""
 SAME = {"hall_temperature_c": "temperature"}
 AS_UNKNOWN = {"noise": ("noise-level", "station-noise", "turbulence"), "gauge": ("gauge-scale", "gauge-shape")}
-"""Names of the catalogue that are right for a law with this response, in addition to unknown."""
+"""Names of catalogue effects that are correct for a law with this response, in addition to `unknown`."""
 WORDS = {
     "station": ("stand", "station"),
     "targets": ("target", "nest"),
     "gauge": ("gauge", "length"),
     "noise": ("noise",),
 }
-"""Words for a response, in addition to the names of the tracker's constants."""
+"""Words that report a response, in addition to the names of the tracker's constants."""
 
 
 def score_recording(truth: dict[str, Any], folder: Path) -> Row:
@@ -147,9 +147,9 @@ def _names_agree(true: set[str], reported: set[str]) -> bool:
 
 def _recognised(hidden: dict[str, Any], finding: dict[str, Any] | None) -> Row:
     """Scores of a law that is reported as unknown: observable, place and covariates."""
-    asked = ("unknown", "observable", "all_covariates", "outside", "covariates_or_outside", "place", "wrong_name")
+    scores = ("unknown", "observable", "all_covariates", "outside", "covariates_or_outside", "place", "wrong_name")
     if finding is None:
-        return dict.fromkeys(asked, False)
+        return dict.fromkeys(scores, False)
     unknown = is_unknown(hidden, finding)
     observable = unknown and observable_right(hidden, finding)
     outside = observable and (finding.get("outside", False) or not _covariates(finding))
@@ -160,7 +160,7 @@ def _recognised(hidden: dict[str, Any], finding: dict[str, Any] | None) -> Row:
     response_and_regressor = {
         f"reported_{name}": finding.get(key, "") for name, key in (("response", "carrier"), ("regressor", "driver"))
     }
-    return response_and_regressor | dict(zip(asked, values, strict=True))
+    return response_and_regressor | dict(zip(scores, values, strict=True))
 
 
 def is_unknown(hidden: dict[str, Any], finding: dict[str, Any]) -> bool:

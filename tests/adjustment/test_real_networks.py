@@ -41,7 +41,7 @@ def test_a_network_held_by_a_point_in_plan_and_one_in_space_agrees_with_gama():
     assert ours.sigma0 == pytest.approx(theirs.aposteriori, rel=5e-8)
     assert ours.chi2 == pytest.approx(theirs.square_sum, rel=5e-8)
     assert (
-        np.abs(published.beside(ours, theirs)[0] - theirs.value).max() < 2.5e-6
+        np.abs(published.coordinates_and_sigmas(ours, theirs)[0] - theirs.value).max() < 2.5e-6
     )  # 1e-4 of their sigmas, where Gama stopped: it prints 1e-5 m
 
 

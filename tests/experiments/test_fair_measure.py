@@ -72,7 +72,7 @@ def test_a_model_is_read_as_it_was_written(network: Any, tmp_path: Path) -> None
 
 def test_the_ideal_observer_finds_an_easy_law(network: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ideal, "DRAWS", 20)
-    monkeypatch.setattr(ideal, "MORE", 20)
+    monkeypatch.setattr(ideal, "FURTHER_DRAWS", 20)
     laws = {name: known.KNOWN[name] for name in ("index-drift", "range-step", "azimuth-drift")}
     truth = elevation_drift(network)
     size = np.sqrt(600.0 / network.strengths(truth).sum())
