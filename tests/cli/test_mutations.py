@@ -31,8 +31,8 @@ def test_slips_in_samples_that_no_verb_makes_end_in_an_answer_or_a_sentence(proc
     quick = [i for i, (_, words) in enumerate(CASES) if words[0] in QUICK and not needs_results(i)]
     assert len(quick) > 15
     slips = [process.submit(faults, 1, i + again, 1) for i in quick for again in (0, len(CASES))]
-    found = [fault for slip in slips for fault in slip.result()]
-    assert not found, "\n\n".join(found)
+    problems = [fault for slip in slips for fault in slip.result()]
+    assert not problems, "\n\n".join(problems)
 
 
 @pytest.mark.long
@@ -40,5 +40,5 @@ def test_slips_in_samples_that_no_verb_makes_end_in_an_answer_or_a_sentence(proc
 @pytest.mark.parametrize("first", range(0, SLIPS, BLOCK))
 def test_20000_slips_end_in_an_answer_or_a_sentence(first: int, process: ProcessPoolExecutor) -> None:
     """Each case whole, then slips in all of them in turn: a block is the same in whichever process and order."""
-    found = process.submit(faults, 2, first, BLOCK).result()
-    assert not found, "\n\n".join(found)
+    problems = process.submit(faults, 2, first, BLOCK).result()
+    assert not problems, "\n\n".join(problems)
