@@ -112,8 +112,8 @@ def prose(section: Section) -> list[str]:
 
 def test_the_page_of_a_diagnosis_names_causes_by_their_titles(tmp_path: Path) -> None:
     content = copy.deepcopy(samples.DIAGNOSIS)
-    found = finding("station-bump", "index-drift").model_dump(mode="json", by_alias=True)
-    content["findings"].append(found)
+    finding_content = finding("station-bump", "index-drift").model_dump(mode="json", by_alias=True)
+    content["findings"].append(finding_content)
     section = diagnosis_section(Diagnosis.model_validate_json(json.dumps(content)), SectionContext(folder=tmp_path))
     texts = " ".join(prose(section))
     assert "bumped" in texts and "drift of the vertical index" in texts
@@ -147,7 +147,7 @@ def test_the_comparison_of_methods_counts_and_sizes_each_sign(sizes: tuple[float
     )
 
 
-def test_coverage_is_separate_where_the_noise_is_not_the_declared_one(tmp_path: Path) -> None:
+def test_coverage_is_separate_where_the_noise_differs_from_the_declared_noise(tmp_path: Path) -> None:
     section = campaign_section(samples.campaign_folder(tmp_path / "campaign"))
     tiles = [fact.name for fact in section.key_figures if fact.name.startswith("coverage")]
     assert tiles == ["coverage of 95 % intervals", "coverage of 95 % intervals with noise factor 2 (not declared)"]
