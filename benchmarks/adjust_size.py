@@ -75,7 +75,7 @@ def network(kind: str, stations: int, targets: int, pointings: int) -> Recording
     return recording.with_readings(exact + recording.reading_sigmas() * rng.standard_normal(exact.shape))
 
 
-def measured(case: Case) -> dict[str, float | str]:
+def measure_case(case: Case) -> dict[str, float | str]:
     """Row of one network: size, times and peak of memory."""
     kind, stations, targets, pointings, built = case
     recording = network(kind, stations, targets, pointings)
@@ -119,6 +119,6 @@ def main(folder: Path) -> None:
 
 if __name__ == "__main__":
     if sys.argv[1:2] == ["--case"]:
-        print(json.dumps(measured(CASES[int(sys.argv[2])])))
+        print(json.dumps(measure_case(CASES[int(sys.argv[2])])))
     else:
         main(Path(sys.argv[1] if len(sys.argv) > 1 else "results/04_network_size"))

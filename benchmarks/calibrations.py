@@ -49,12 +49,12 @@ from ltsim.simulation.scenario import load_scenario
 SEED = 11
 
 
-def seconds(work: Callable[[], object], repeats: int) -> float:
+def seconds(function: Callable[[], object], repeats: int) -> float:
     """Smallest processor time [s] of several runs."""
     best = np.inf
     for _ in range(repeats):
         start = time.process_time()
-        work()
+        function()
         best = min(best, time.process_time() - start)
     return best
 
@@ -145,9 +145,9 @@ def _peer(
     return _row(name, least, batch, worst)
 
 
-def _row(name: str, each: float, batch: float, agreement: float) -> list[str]:
-    shown = f"{1e6 * each:.1f} us" if each < 1e-3 else f"{1e3 * each:.2f} ms"
-    return [name, shown, f"{1 / each:.0f}", f"{each / batch:.1f}", f"{agreement:.0e}"]
+def _row(name: str, trial_seconds: float, batch: float, agreement: float) -> list[str]:
+    shown = f"{1e6 * trial_seconds:.1f} us" if trial_seconds < 1e-3 else f"{1e3 * trial_seconds:.2f} ms"
+    return [name, shown, f"{1 / trial_seconds:.0f}", f"{trial_seconds / batch:.1f}", f"{agreement:.0e}"]
 
 
 def parts() -> None:

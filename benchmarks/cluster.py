@@ -66,12 +66,17 @@ def digest(folder: Path) -> str:
     return whole.hexdigest()[:12]
 
 
-def measured(
-    name: str, file: Path, out: Path, workers: WorkerSettings, trials: int, each: Callable[[], None] = lambda: None
+def run_and_measure(
+    name: str,
+    file: Path,
+    out: Path,
+    workers: WorkerSettings,
+    trials: int,
+    after_shard: Callable[[], None] = lambda: None,
 ) -> float:
     """Processor time [s] per trial of a campaign; a table row is printed."""
     before, begun = processor_seconds(os.getpid()), time.perf_counter()
-    run_campaign(file, out, workers=workers, progress=lambda _: each())
+    run_campaign(file, out, workers=workers, progress=lambda _: after_shard())
     wall, spent = time.perf_counter() - begun, processor_seconds(os.getpid()) - before
     size = sum(path.stat().st_size for path in out.glob("rows/*/*.parquet")) / trials
     print(
@@ -81,7 +86,7 @@ def measured(
     return spent / trials
 
 
-def on_cluster(folder: Path, file: Path, trials: int, *, kill: bool) -> None:
+def measure_on_cluster(folder: Path, file: Path, trials: int, *, kill: bool) -> None:
     """Run the campaign with a scheduler and workers.
 
     With `kill`, one worker is killed after a quarter of the shards, and replaced.
@@ -105,7 +110,7 @@ def on_cluster(folder: Path, file: Path, trials: int, *, kill: bool) -> None:
         doomed, *_ = [stack.enter_context(command(*worker)) for _ in range(JOBS)]
         done = [0]
 
-        def each() -> None:
+        def after_shard() -> None:
             done[0] += 1
             if kill and done[0] == trials // SHARD // 4:
                 doomed.kill()
@@ -113,7 +118,7 @@ def on_cluster(folder: Path, file: Path, trials: int, *, kill: bool) -> None:
 
         name = f"dask, {JOBS} workers" + (", one killed and replaced" if kill else "")
         out = folder / f"dask-{kill}"
-        measured(name, file, out, WorkerSettings(backend="dask", scheduler=str(cluster)), trials, each)
+        run_and_measure(name, file, out, WorkerSettings(backend="dask", scheduler=str(cluster)), trials, after_shard)
 
 
 def main() -> None:
@@ -133,9 +138,9 @@ def main() -> None:
             + "|---" * 5
             + "|"
         )
-        spent = measured(f"joblib, {JOBS} processes", file, folder / "local", WorkerSettings(JOBS), trials)
-        on_cluster(folder, file, trials, kill=False)
-        on_cluster(folder, file, trials, kill=True)
+        spent = run_and_measure(f"joblib, {JOBS} processes", file, folder / "local", WorkerSettings(JOBS), trials)
+        measure_on_cluster(folder, file, trials, kill=False)
+        measure_on_cluster(folder, file, trials, kill=True)
         size = sum(path.stat().st_size for path in (folder / "local").glob("rows/*/*.parquet")) / trials
     print(
         f"\n10^9 trials: {HUGE * spent / 3600:.0f} core hours, {HUGE * spent / 3600 / 64:.1f} h on 64 cores, "

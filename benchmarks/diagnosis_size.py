@@ -36,7 +36,7 @@ PACE = 5.0
 """[s] Time from one pointing to the next."""
 
 
-def watched(pointings: int) -> Recording:
+def station_recording(pointings: int) -> Recording:
     """Recording of one station that measures its targets again and again, with columns of oscillating joint angles."""
     rng = random_stream(20, "watched", pointings)
     bearing, elevation, range_ = (
@@ -69,13 +69,13 @@ def watched(pointings: int) -> Recording:
     return recording.with_readings(exact + recording.reading_sigmas() * rng.standard_normal(exact.shape))
 
 
-def measured(kind: str, pointings: int) -> dict[str, Any]:
+def measure_case(kind: str, pointings: int) -> dict[str, Any]:
     """Row of one recording: size, times, peak of memory, and findings."""
-    clean = watched(pointings) if kind == "station" else network("ring", 210, 370, pointings)
+    clean = station_recording(pointings) if kind == "station" else network("ring", 210, 370, pointings)
     drift = np.zeros((pointings, 3))
     drift[:, 2] = 4 * MICRORADIAN * np.exp(-clean.time / (0.2 * clean.time[-1]))
     recording = clean.with_readings(clean.readings + drift)
-    lt.diagnose(watched(240))  # imports and compilation must not be measured
+    lt.diagnose(station_recording(240))  # imports and compilation must not be measured
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
     wall, start = time.perf_counter(), time.process_time()
     result_content = lt.diagnose(recording).content()
@@ -88,11 +88,11 @@ def measured(kind: str, pointings: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def main(folder: Path, chosen: list[str]) -> None:
+def main(folder: Path, pointing_numbers: list[str]) -> None:
     """Measure all cases, or those with the given numbers of pointings, in separate processes; write the table."""
     rows = []
     for kind, pointings in CASES:
-        if chosen and str(pointings) not in chosen:
+        if pointing_numbers and str(pointings) not in pointing_numbers:
             continue
         command = [sys.executable, "-m", "benchmarks.diagnosis_size", "--case", kind, str(pointings)]
         rows.append(json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout))
@@ -106,6 +106,6 @@ def main(folder: Path, chosen: list[str]) -> None:
 
 if __name__ == "__main__":
     if sys.argv[1:2] == ["--case"]:
-        print(json.dumps(measured(sys.argv[2], int(sys.argv[3]))))
+        print(json.dumps(measure_case(sys.argv[2], int(sys.argv[3]))))
     else:
         main(Path(sys.argv[1] if len(sys.argv) > 1 else "build/diagnosis_size"), sys.argv[2:])

@@ -52,7 +52,7 @@ MODULE = {"trame-vtk": "trame_vtk.modules.vtk.serializers", "scipy": "scipy.stat
 CLOCK = "import resource as r; u = r.getrusage(r.RUSAGE_SELF); print(u.ru_utime + u.ru_stime)"
 
 
-def declared() -> dict[str, str]:
+def required_packages() -> dict[str, str]:
     """Extra ('' for none) by name of each package that ltsim requires, without tools for developers."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     texts_by_extra = {"": project["dependencies"], **project["optional-dependencies"]}
@@ -88,14 +88,14 @@ def seconds(module: str) -> float:
     return max(0.0, min(_clock(f"import {module}; ") for _ in range(3)) - min(_clock("") for _ in range(3)))
 
 
-def _clock(before: str) -> float:
-    done = subprocess.run([sys.executable, "-c", before + CLOCK], capture_output=True, text=True, check=True)
+def _clock(statement: str) -> float:
+    done = subprocess.run([sys.executable, "-c", statement + CLOCK], capture_output=True, text=True, check=True)
     return float(done.stdout)
 
 
 def rows() -> list[list[str]]:
     """Row of each package: name, version, extra, whole size [MB], freed size [MB], load time [s], task in ltsim."""
-    packages, cache = declared(), dict[str, set[str]]()
+    packages, cache = required_packages(), dict[str, set[str]]()
     closure = {name: needs(name, cache) for name in packages}
     size = {name: megabytes(name) for name in set().union(*closure.values())}
     table = []

@@ -52,7 +52,7 @@ def from_scratch(search: LayoutSearcher, number: int) -> int:
     return int(np.sum(np.isfinite(values) & good))
 
 
-def exchanged(search: LayoutSearcher, number: int) -> int:
+def exchange_station(search: LayoutSearcher, number: int) -> int:
     """Number of set-ups in the table, after one station of a layout has been replaced by each of them."""
     draw, table = random_stream(3, "exchange", number), search.normal_blocks_of_grid(0)
     chosen = draw.integers(0, len(table.setup_positions), search.n_stations)
@@ -63,7 +63,7 @@ def exchanged(search: LayoutSearcher, number: int) -> int:
 def worker(kind: str, faces: int, number: int, together: Barrier, results: multiprocessing.Queue[Rate]) -> None:
     """Put the number of layouts, wall-clock time and processor time [s] of one process into the queue."""
     with threadpool_limits(1):
-        search, step = searcher(faces), {"scratch": from_scratch, "exchange": exchanged}[kind]
+        search, step = searcher(faces), {"scratch": from_scratch, "exchange": exchange_station}[kind]
         step(search, 10_000 + number)
         together.wait()
         begin, used, done, round_ = time.perf_counter(), time.process_time(), 0, 0
@@ -74,7 +74,7 @@ def worker(kind: str, faces: int, number: int, together: Barrier, results: multi
         results.put((done, time.perf_counter() - begin, time.process_time() - used))
 
 
-def measured(kind: str, faces: int) -> tuple[float, float]:
+def layout_rates(kind: str, faces: int) -> tuple[float, float]:
     """Layouts per second by the wall clock, of all processes, and by processor time, of one; best of several runs."""
     best = (0.0, 0.0)
     for _ in range(REPEATS):
@@ -101,7 +101,7 @@ def main() -> None:
     print("|---|---|---|")
     for kind, label in (("scratch", "everything computed anew"), ("exchange", "one station exchanged")):
         for faces in (1, 2):
-            wall, rate = measured(kind, faces)
+            wall, rate = layout_rates(kind, faces)
             print(f"| {label}, {'one face' if faces == 1 else 'two faces'} | {wall:,.0f} | {rate:,.0f} |", flush=True)
 
 

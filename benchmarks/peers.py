@@ -82,7 +82,7 @@ class DenseProblem:
         arm = points[self.recording.target] - position[self.recording.station]
         return np.einsum("nji,nj->ni", turn, arm), arm, turn, points, values
 
-    def _evaluated(self, x: Floats) -> tuple[Floats, ...]:
+    def _readings_and_geometry(self, x: Floats) -> tuple[Floats, ...]:
         """Readings (n, 3) and geometry, which are cached for the Jacobian at the same unknowns."""
         key = x.tobytes()
         if key not in self._designs:
@@ -94,7 +94,7 @@ class DenseProblem:
             )
         return self._designs[key]
 
-    def _linearised(self, x: Floats) -> tuple[Floats, ...]:
+    def _design_and_geometry(self, x: Floats) -> tuple[Floats, ...]:
         """Derivatives of the readings by point and by parameters, and geometry; the readings are cached."""
         key = x.tobytes()
         if key in self._designs:
@@ -108,7 +108,7 @@ class DenseProblem:
 
     def residual(self, x: Floats) -> Floats:
         """Predicted minus observed values (m,), divided by sigma."""
-        raw, _, _, points, values = self._evaluated(x)
+        raw, _, _, points, values = self._readings_and_geometry(x)
         gap = raw - self.recording.readings
         gap[:, 1:] = wrap_angle(gap[:, 1:])
         lengths = (self._gauge.predict(points) - self._gauge.lengths) / self._gauge.total_sigmas
@@ -116,7 +116,7 @@ class DenseProblem:
 
     def jacobian(self, x: Floats) -> Floats:
         """Derivative (m, K) of the residual."""
-        by_point, by_value, arm, turn, points, values = self._linearised(x)
+        by_point, by_value, arm, turn, points, values = self._design_and_geometry(x)
         by_target = by_point @ np.swapaxes(turn, 1, 2) / self._sigma[:, :, None]
         by_pose = np.concatenate([-by_target, by_target @ cross_matrix(arm)], axis=2)
         n, (poses, targets) = len(arm), (6 * (len(self._start[0]) - 1), points.size)

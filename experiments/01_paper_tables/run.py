@@ -22,7 +22,7 @@ from ltsim.core.units import MICROMETRE
 from ltsim.reports.figures.campaign import PUBLISHED_CRITERIA_BY_SCENARIO, TrialDistribution, distributions_figure
 from ltsim.simulation.workshop import measure_points_by_cmm
 
-DRAWN = {
+DRAWN_CELLS = {
     "workshop": {"noise_factor": 2.8, "error_factor": 0.7, "prior_factor": 1.0},
     "laboratory": {"noise_factor": 2.8, "error_factor": 2.8, "prior_factor": 1.0},
 }
@@ -31,7 +31,7 @@ tables.
 """
 TABLES = {
     table: {name.removesuffix("_um"): value for name, value in PUBLISHED_CRITERIA_BY_SCENARIO[f"paper-{table}"].items()}
-    for table in DRAWN
+    for table in DRAWN_CELLS
 }
 """Published values of Tables 3 and 4 of the paper [um, %], by table and name of the value."""
 
@@ -61,11 +61,11 @@ def workshop_figures(clouds: Floats, names: tuple[str, ...]) -> dict[str, float]
     )
 
 
-def laboratory_figures(clouds: Floats, nominal: Floats) -> dict[str, float]:
+def laboratory_figures(clouds: Floats, nominal_points: Floats) -> dict[str, float]:
     """Equations 13 and 14 of the paper [um], of point clouds (S, T, 3) [m] against nominal points (T, 3) [m]."""
-    gaps = pair_distances(clouds) - pair_distances(nominal)
-    miss = [np.linalg.norm(align_to_points(cloud, nominal) - nominal, axis=1).max() for cloud in clouds]
-    errors = distance_errors(clouds, nominal), coordinate_errors(clouds, nominal)
+    gaps = pair_distances(clouds) - pair_distances(nominal_points)
+    miss = [np.linalg.norm(align_to_points(cloud, nominal_points) - nominal_points, axis=1).max() for cloud in clouds]
+    errors = distance_errors(clouds, nominal_points), coordinate_errors(clouds, nominal_points)
     return criteria_by_name(*errors, np.abs(gaps).max(), max(miss))
 
 
@@ -157,7 +157,7 @@ def run(options: Options) -> RunRecord:
         ]
         write_table(options.out / f"{name}.csv", rows)
         for cell, tables in zip(cells, cell_tables, strict=True):
-            if {key: cell.levels[key] for key in DRAWN[table]} == DRAWN[table]:
+            if {key: cell.levels[key] for key in DRAWN_CELLS[table]} == DRAWN_CELLS[table]:
                 figure = distributions_figure(figure_rows(tables[table, "eq. 9"], table))
                 figure.legends[0].set_title(f"{table}, {cell.levels['title']}, calibrated by eq. 9")
                 figure.legends[0].set_alignment("left")

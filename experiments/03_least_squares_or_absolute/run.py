@@ -25,7 +25,7 @@ PERCENT = (0.0, 1.0, 2.0)
 SIZE = (100 * MICROMETRE, 500 * MICROMETRE)
 """Smallest and largest outlier [m], as a displacement of the reflector; ltsim rejects larger ones before calibration.
 """
-MOST_REMOVED = 60
+MAX_REMOVED_READINGS = 60
 
 
 class WithoutOutliers:
@@ -39,23 +39,23 @@ class WithoutOutliers:
         self.construction: GeometricErrorModel = misalignment_construction()
         self.effects: tuple[Effect, ...] = ()
 
-    def calibrate(self, block: TrialBatch, wanted: Ints) -> CalibratedBatch:
+    def calibrate(self, block: TrialBatch, trial_indices: Ints) -> CalibratedBatch:
         """Calibration of each trial of a batch, one after the other."""
         count, true = block.reading_deviations.shape[2], self.truth.state.target_points
         values, points = np.zeros((1, self.construction.n_parameters, count)), np.zeros((*true.shape, count))
         chi2 = np.zeros(count)
-        for i in wanted:
-            adjustment = self.cleaned(recording_of_trial(self.truth, block, int(i)))
+        for i in trial_indices:
+            adjustment = self.adjust_without_outliers(recording_of_trial(self.truth, block, int(i)))
             values[0, :, i] = adjustment.state.instrument_parameters[0]
             points[:, :, i] = align_to_points(adjustment.state.target_points, true) - true
             chi2[i] = adjustment.chi2
         return CalibratedBatch(values, np.full(values.shape[:2], np.nan), points, chi2, np.zeros(count, dtype=np.int64))
 
-    def cleaned(self, recording: Recording) -> Adjustment:
+    def adjust_without_outliers(self, recording: Recording) -> Adjustment:
         """Adjustment of a recording after the rejection of all flagged readings."""
         use = np.ones(recording.readings.shape, dtype=bool)
         adjustment = adjust(recording, self.construction, reading_mask=use)
-        for _ in range(MOST_REMOVED):
+        for _ in range(MAX_REMOVED_READINGS):
             flagged = adjustment.flagged_readings()
             if not flagged:
                 break

@@ -212,7 +212,7 @@ def components(adjustment: Adjustment) -> Rows:
 
 RING = "field/esrf.lgc2"
 EDGES_M = (2, 3, 4, 5, 6, 8, 10, 12, 15, 18, 22, 27, 32)
-CLEAR = 8.0
+CLEAR_SIGMAS = 8.0
 
 
 def ring(out: Path) -> None:
@@ -238,10 +238,10 @@ def ring(out: Path) -> None:
             squares = sum(prediction_error(residuals[use, j], group[use], half[use] == k) for k in (0, 1))
             total = float(np.sum(residuals[use, j] ** 2))
             means = [residuals[use & (group == g), j] for g in np.unique(group)]
-            clear = sum(len(m) > 1 and abs(m.mean()) > CLEAR * m.std() / np.sqrt(len(m)) for m in means)
+            clear = sum(len(m) > 1 and abs(m.mean()) > CLEAR_SIGMAS * m.std() / np.sqrt(len(m)) for m in means)
             rows.append({"observable": observable, "means_by": by, "chi2": f"{total:.0f}",
                          "predicted_fraction": f"{1 - squares / total:.3f}", "means": len(means),
-                         f"beyond_{CLEAR:.0f}_sigma": clear})  # fmt: skip
+                         f"beyond_{CLEAR_SIGMAS:.0f}_sigma": clear})  # fmt: skip
     show_table(out / "ring.csv", rows)
 
 
@@ -283,10 +283,10 @@ def scanner_truth(out: Path) -> None:
     rows: Rows = []
     for has_points in (True, False):
         recording = scanner(has_points)
-        errors = np.array([fitted(rounded(trial), has_points)[0] - TRUTH for trial in range(80)])
-        estimates, sigma = fitted(recording, has_points)
+        errors = np.array([fit_parameters(rounded_scans(trial), has_points)[0] - TRUTH for trial in range(80)])
+        estimates, sigma = fit_parameters(recording, has_points)
         exact = adjust(recording, misalignment_construction(FIRST_ORDER)).state.instrument_parameters[0] / UNITS
-        made_again = rounded(None) if has_points else without_points(rounded(None))
+        made_again = rounded_scans(None) if has_points else without_points(rounded_scans(None))
         form = adjust(made_again, misalignment_construction(FIRST_ORDER)).state.instrument_parameters[0] / UNITS - TRUTH
         gap = estimates - TRUTH
         joint = float(gap @ np.linalg.solve(np.cov(errors.T), gap))
@@ -325,7 +325,7 @@ def choice_of_parameters(has_points: bool) -> Rows:
     return rows
 
 
-def fitted(recording: Recording, has_points: bool) -> tuple[np.ndarray, np.ndarray]:
+def fit_parameters(recording: Recording, has_points: bool) -> tuple[np.ndarray, np.ndarray]:
     """Parameters and their standard deviations (4,) [um, urad], to first order."""
     adjustment = adjust(recording if has_points else without_points(recording), effects=FIRST_ORDER)
     return adjustment.state.extra_parameters / UNITS, np.sqrt(np.diag(adjustment.effect_covariance)) / UNITS
@@ -336,7 +336,7 @@ def without_points(recording: Recording) -> Recording:
     return recording.replace(setup=recording.setup.model_copy(update={"targets": {}}))
 
 
-def rounded(trial: int | None) -> Recording:
+def rounded_scans(trial: int | None) -> Recording:
     """Scans simulated from the declared truth and rounded to 0.1 mm as in the files.
 
     The poses are changed by random 0.1 mm and 0.1 mrad. The points of a ring have nearly the same height and are

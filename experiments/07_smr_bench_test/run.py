@@ -40,7 +40,7 @@ def row_of(results: list[ReflectorBenchEstimates], table: Floats) -> dict[str, f
     def rms(tables: list[Floats]) -> float:
         return float(np.sqrt(np.mean((np.array(tables) - true) ** 2))) / MICROMETRE
 
-    def at_edge(tables: list[Floats]) -> float:
+    def worst_error(tables: list[Floats]) -> float:
         return float(np.percentile(np.abs(np.array(tables) - true).max(axis=1), 95)) / MICROMETRE
 
     vertices = [
@@ -50,8 +50,8 @@ def row_of(results: list[ReflectorBenchEstimates], table: Floats) -> dict[str, f
         "run_out_um": float(np.mean([r.run_out for r in results])) / MICROMETRE,
         "rms_uncorrected_um": rms([r.uncorrected_lengths for r in results]),
         "rms_corrected_um": rms([r.range_errors for r in results]),
-        "worst_95_uncorrected_um": at_edge([r.uncorrected_lengths for r in results]),
-        "worst_95_corrected_um": at_edge([r.range_errors for r in results]),
+        "worst_95_uncorrected_um": worst_error([r.uncorrected_lengths for r in results]),
+        "worst_95_corrected_um": worst_error([r.range_errors for r in results]),
         "vertex_side_um": float(np.mean([v.side_offset for v in vertices])) / MICROMETRE,
         "vertex_axial_um": float(np.mean([v.axial_offset for v in vertices])) / MICROMETRE,
         "unexplained_by_vertex_um": float(np.mean([v.unexplained_rms for v in vertices])) / MICROMETRE,

@@ -26,14 +26,14 @@ from ltsim.reports.workshop_scene import workshop_from_scenario
 from ltsim.simulation.scenario import Scenario, scenario_to_toml
 
 MICRO = 1.0 / MICROMETRE
-PROMISED = (
+EXPECTED_COLUMNS = (
     ("before", "disagreement_before", "um", MICRO),
     ("after", "disagreement_after", "um", MICRO),
     ("improvement", "improvement", "percent", 1.0),
 )
 
 
-def unsearched(file: PlanFile, scenario: Scenario, count: int, seed: int) -> tuple[Floats, PlannedSurvey]:
+def random_layouts(file: PlanFile, scenario: Scenario, count: int, seed: int) -> tuple[Floats, PlannedSurvey]:
     """Objective values of `count` feasible layouts drawn at random, and the best of these layouts.
 
     The draws are uniform over floor, heights and orientations.
@@ -119,7 +119,7 @@ def quality(scenario: Scenario) -> Row:
     information = ExpectedPrecision.from_survey(planned_survey(scenario))
     covariance, rows = information.covariance_in_prior_sigmas, corrections(information)
     expected, promised = DisagreementPredictor.from_expected_precision(information).expected_disagreement(), {}
-    for kind, (what, attribute, unit, factor) in product(("distance", "coordinate"), PROMISED):
+    for kind, (what, attribute, unit, factor) in product(("distance", "coordinate"), EXPECTED_COLUMNS):
         promised[f"{kind}_{what}_{unit}"] = factor * getattr(expected, f"{kind}_{attribute}")[0]
     return {
         "stations": len(scenario.stations),
@@ -197,7 +197,7 @@ def run(options: Options) -> RunRecord:
         plan = make_plan(file, base.model_copy(update={"workshop": workshop}), jobs=options.jobs)
         content, about = Plan.from_network(plan), {"cone_deg": cone}
         reasons[str(cone)] = [content.summary, *content.reasons]
-        values, best = unsearched(file, plan.scenario, config["unsearched"], config["seed"])
+        values, best = random_layouts(file, plan.scenario, config["unsearched"], config["seed"])
         tables["tradeoff"] += [about | row for row in curve_rows(plan)]
         tables["unsearched"].append(about | lot_row(values, plan))
         for kind, (layout, scenario) in candidates_of(plan, len(values), best).items():

@@ -20,7 +20,7 @@ EPOCHS = ("20Sep21", "22Sep21", "21Feb22", "22Feb22", "24Feb22", "1Mar22", "7Mar
 AUTHORS = Noise(distance_mm=0.010, distance_ppm=0.0, azimuth_arcsec=0.486, elevation_arcsec=0.486)
 """Noise that the authors of the data specify: 0.010 mm in distance, 0.15 mgon in both angles."""
 START = Noise(distance_mm=0.0015, distance_ppm=0.3, azimuth_arcsec=0.4, elevation_arcsec=0.55)
-LONG = 1.0
+LONG_LENGTH_M = 1.0
 """[m] Limit between short and long interferometer lengths."""
 Dropped = tuple[str, str, int, float]
 """Rejected pointings: station, target, column of the observable with the largest w-test, and w."""
@@ -42,7 +42,9 @@ def set_up(recording: Recording, number: int) -> Recording:
     return recording.select(recording.station == number)
 
 
-def snooped(recording: Recording, construction: GeometricErrorModel | None = None) -> tuple[Recording, list[Dropped]]:
+def reject_outliers(
+    recording: Recording, construction: GeometricErrorModel | None = None
+) -> tuple[Recording, list[Dropped]]:
     """Recording after iterative data snooping, and the rejected pointings.
 
     In each step, the pointings of a station to the target with the largest w-test are rejected.
@@ -74,7 +76,7 @@ def estimated_noise(rounds: int = 4) -> Noise:
     """Noise for which the variance factor of each observable over all epochs is 1, without outliers."""
     noise = START
     for _ in range(rounds):
-        recordings = [snooped(epoch(name, noise))[0] for name in EPOCHS]
+        recordings = [reject_outliers(epoch(name, noise))[0] for name in EPOCHS]
         factor = variance_factors([adjust(r, misalignment_construction()) for r in recordings])
         noise = Noise(
             distance_mm=noise.distance_mm * factor[0],
@@ -85,12 +87,12 @@ def estimated_noise(rounds: int = 4) -> Noise:
     return noise
 
 
-def clean(pairs: TwoFacePairs, recording: Recording) -> Bools:
+def is_clean_pair(pairs: TwoFacePairs, recording: Recording) -> Bools:
     """(m,) True for pairs of faces that data snooping does not reject.
 
     Snooping uses only the recording, and not the parameters under test.
     """
-    gone = {d[:2] for d in snooped(recording)[1]}
+    gone = {d[:2] for d in reject_outliers(recording)[1]}
     rows = pairs.pointing_indices[:, 0]
     return np.array([(recording.stations[recording.station[i]], recording.targets[recording.target[i]]) not in gone
                      for i in rows], dtype=bool)  # fmt: skip
@@ -109,7 +111,7 @@ def interferometer(name: str) -> pd.DataFrame:
     for line, points in rows.groupby("line", sort=False):
         for (a, from_), (b, to) in combinations(zip(points.target, points.place, strict=True), 2):
             length = float(np.linalg.norm(from_ - to))
-            level = f"horizontal and diagonal, {'over' if length > LONG else 'under'} 1 m"
+            level = f"horizontal and diagonal, {'over' if length > LONG_LENGTH_M else 'under'} 1 m"
             kind, way = "vertical" if line.startswith("Ver") else level, (line[:-2], *sorted((a, b)))
             lengths.append((kind, way, a, b, length))
     return pd.DataFrame(lengths, columns=["lines", "way", "first", "second", "length"])

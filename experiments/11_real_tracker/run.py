@@ -26,13 +26,23 @@ from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.recordings.setup import Noise
 
-from .desy import AUTHORS, EPOCHS, clean, epoch, estimated_noise, interferometer, set_up, snooped, variance_factors
+from .desy import (
+    AUTHORS,
+    EPOCHS,
+    epoch,
+    estimated_noise,
+    interferometer,
+    is_clean_pair,
+    reject_outliers,
+    set_up,
+    variance_factors,
+)
 
 FLIPPING = ("transit-offset", "beam-offset", "beam-tilt", "transit-tilt", "vertical-index")
 DEFAULT = "what `calibrate` applies by default"
 SIX = misalignment_construction([effect for effect in ORDINARY_CALIBRATION_EFFECTS if effect.name in FLIPPING])
 UNITS = ("um", "urad across", "urad elevation")
-BEFORE, AFTER = ([f"{when} {unit}" for unit in UNITS] for when in ("before", "after"))
+COLUMNS_BEFORE, COLUMNS_AFTER = ([f"{when} {unit}" for unit in UNITS] for when in ("before", "after"))
 Rows = list[dict[str, object]]
 
 
@@ -51,10 +61,10 @@ def noise(out: Path) -> None:
     (out / "noise.json").write_text(text + "\n")
     rows: Rows = []
     for name in EPOCHS:
-        used, dropped = snooped(epoch(name, estimate))
+        used, dropped = reject_outliers(epoch(name, estimate))
         adjusted = adjust(used, misalignment_construction())
         factors = variance_factors([adjusted])
-        by_authors = adjust(snooped(epoch(name, AUTHORS))[0], misalignment_construction())
+        by_authors = adjust(reject_outliers(epoch(name, AUTHORS))[0], misalignment_construction())
         rows.append({"epoch": name, "pointings": len(used), "chi2/dof": round(adjusted.sigma0**2, 3),
                      "range factor": factors[0].round(2), "azimuth factor": factors[1].round(2),
                      "elevation factor": factors[2].round(2), "chi2/dof authors": round(by_authors.sigma0**2, 3),
@@ -66,7 +76,7 @@ def noise(out: Path) -> None:
 def course(out: Path) -> None:
     """Calibrate every epoch with 16 and with 6 parameters, and list the parameters and their changes."""
     estimate = noise_of_recordings(out)
-    recordings = {name: snooped(epoch(name, estimate))[0] for name in EPOCHS}
+    recordings = {name: reject_outliers(epoch(name, estimate))[0] for name in EPOCHS}
     for label, construction in (("16", misalignment_construction()), ("6", SIX)):
         calibrations = [
             (name, calibrate_network(recordings[name], construction, recommend_measurements=False)) for name in EPOCHS
@@ -111,9 +121,9 @@ def transfer(out: Path) -> None:
     """Evaluate half face differences of each set-up before and after correction by the other set-up's parameters."""
     estimate, parts = noise_of_recordings(out), []
     raw = {(name, s): set_up(epoch(name, estimate), s) for name in EPOCHS for s in (0, 1)}
-    good = {key: clean(two_face_pairs(r), r) for key, r in raw.items()}
+    good = {key: is_clean_pair(two_face_pairs(r), r) for key, r in raw.items()}
     for method, construction, snoop, informed in METHODS:
-        used = {k: snooped(r, construction)[0] if snoop else r for k, r in raw.items()}
+        used = {k: reject_outliers(r, construction)[0] if snoop else r for k, r in raw.items()}
         calibrations = {k: calibrate_network(r, construction, recommend_measurements=False) for k, r in used.items()}
         for name, s in raw:
             others = [(f"{k[0]} {k[1]}", c) for k, c in calibrations.items() if k[0] != name]
@@ -125,7 +135,7 @@ def transfer(out: Path) -> None:
             faces = two_face_pairs(raw[name, to]), two_face_pairs(raw[name, to], construction, values)
             columns = np.hstack([(1e6 * half.half_differences) ** 2 for half in faces])
             about = {"method": method, "epoch": name, "from": s, "to": to, "clean": good[name, to]}
-            parts.append(pd.DataFrame(columns, columns=[*BEFORE, *AFTER]).assign(**about))
+            parts.append(pd.DataFrame(columns, columns=[*COLUMNS_BEFORE, *COLUMNS_AFTER]).assign(**about))
     pairs = pd.concat(parts)
     clean_pairs = pairs[pairs.clean]
     every = shares(clean_pairs, "clean", "method", "epoch", "from", "to")
@@ -139,11 +149,14 @@ def transfer(out: Path) -> None:
     show_table(out / "transfer_summary.csv", order.to_dict("records"))
 
 
-def shares(pairs: pd.DataFrame, kind: str, *by: str, digits: int = 3) -> pd.DataFrame:
+def shares(pairs: pd.DataFrame, kind: str, *keys: str, digits: int = 3) -> pd.DataFrame:
     """Rms half face differences [um, urad] before and after correction, and the fraction removed, for each group."""
-    groups = pairs.groupby([*by], sort=False)
-    rms, table = groups[[*BEFORE, *AFTER]].mean() ** 0.5, groups.size().map(f"{{}} {kind}".format).to_frame("pairs")
-    for before, after, unit in zip(BEFORE, AFTER, UNITS, strict=True):
+    groups = pairs.groupby([*keys], sort=False)
+    rms, table = (
+        groups[[*COLUMNS_BEFORE, *COLUMNS_AFTER]].mean() ** 0.5,
+        groups.size().map(f"{{}} {kind}".format).to_frame("pairs"),
+    )
+    for before, after, unit in zip(COLUMNS_BEFORE, COLUMNS_AFTER, UNITS, strict=True):
         table[before], table[after] = rms[before].round(2), rms[after].round(2)
         table[f"share {unit.split()[-1]}"] = (1 - rms[after] / rms[before]).round(digits)
     return table.reset_index()
@@ -153,7 +166,7 @@ def lines(out: Path) -> None:
     """Compare interferometer lengths with lengths from coordinates: of the network, and of one face of one set-up."""
     estimate, parts, back = noise_of_recordings(out), [], []
     for name in EPOCHS:
-        recording = snooped(epoch(name, estimate))[0]
+        recording = reject_outliers(epoch(name, estimate))[0]
         spans = interferometer(name)
         back.append(spans.groupby("way").length.diff().dropna())
         calibrated = adjust(recording, misalignment_construction())
@@ -203,7 +216,7 @@ def index(out: Path) -> None:
     """
     estimate, rows = noise_of_recordings(out), []
     for name in EPOCHS:
-        recording = snooped(epoch(name, estimate))[0]
+        recording = reject_outliers(epoch(name, estimate))[0]
         pairs = two_face_pairs(recording)
         station = recording.station[pairs.pointing_indices[:, 0]]
         design = [-1.0 / pairs.mean_front_face_readings[:, 0]]
@@ -252,11 +265,11 @@ def diagnoses(out: Path) -> None:
             before, after = content["fit"]["before"], content["fit"]["after"]
             rows.append({"noise": label, "epoch": name, "verdict": content["verdict"],
                          "chi2/dof": f"{before['chi2'] / before['dof']:.2f} to {after['chi2'] / after['dof']:.2f}",
-                         "findings": "; ".join(in_words(f) for f in content["findings"])})  # fmt: skip
+                         "findings": "; ".join(finding_text(f) for f in content["findings"])})  # fmt: skip
     show_table(out / "diagnoses.csv", rows)
 
 
-def in_words(finding: dict) -> str:
+def finding_text(finding: dict) -> str:
     """Effect, place, parameters, probability and equivalent effects of a finding in one line."""
     where = finding["where"]
     place = " ".join([*where["stations"], *where["targets"], *where["observables"]])

@@ -24,7 +24,7 @@ from ltsim.simulation.simulator import simulate
 from ltsim.simulation.truth import Truth
 
 
-def measured(candidate: CandidateMeasurement, original: Recording, truth: Truth, seed: int) -> Recording:
+def with_measurement(candidate: CandidateMeasurement, original: Recording, truth: Truth, seed: int) -> Recording:
     """Recording with the pointings of a proposal.
 
     The pointings are simulated with the true network, instrument and effect, and new noise.
@@ -61,7 +61,7 @@ def report_row(diagnosis: Diagnosis, effect: str, stations: Sequence[str]) -> Ro
     }
 
 
-def recorded(scenario_name: str, case: dict[str, Any], seed: int) -> tuple[Recording, Truth]:
+def recording_of_case(scenario_name: str, case: dict[str, Any], seed: int) -> tuple[Recording, Truth]:
     """Recording of a case, with its truth.
 
     The case is an effect of the simulation, or an error that is added to the readings of one target.
@@ -80,7 +80,7 @@ def recorded(scenario_name: str, case: dict[str, Any], seed: int) -> tuple[Recor
 
 def examined_recording(scenario_name: str, case: dict[str, Any], seed: int, number: int) -> Row:
     """Row of one recording: first diagnosis, proposed measurement, diagnosis with this measurement."""
-    recording, truth = recorded(scenario_name, case, seed + 1000 * number)
+    recording, truth = recording_of_case(scenario_name, case, seed + 1000 * number)
     first = diagnose(recording, seed=seed)
     row: Row = {"true": case["name"], "recording": number}
     row |= {f"before_{key}": value for key, value in report_row(first, case["name"], case["stations"]).items()}
@@ -89,7 +89,7 @@ def examined_recording(scenario_name: str, case: dict[str, Any], seed: int, numb
         return row | {"between": "", "proposal": ""}
     proposals = rank_next_measurements(recording, explanations=between, with_effects=context)
     best = proposals.proposals[0]
-    second = diagnose(measured(best.candidate, recording, truth, seed + number), seed=seed)
+    second = diagnose(with_measurement(best.candidate, recording, truth, seed + number), seed=seed)
     row |= {
         "between": " ".join(between),
         "proposal": best.candidate.instruction,

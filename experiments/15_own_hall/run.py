@@ -22,7 +22,7 @@ from ltsim.simulation.sections import PlannedTarget
 TRIALS, SEED = 100_000, 15
 
 
-def changed(scenario: Scenario, change: ReflectorChangeEntry) -> Scenario:
+def with_change(scenario: Scenario, change: ReflectorChangeEntry) -> Scenario:
     """Scenario with one reflector moved (its name stays), added or removed."""
     targets = {name: target for name, target in scenario.targets.items() if name != change.reflector}
     if change.position_mm is not None:
@@ -68,7 +68,7 @@ def run(options: Options) -> RunRecord:
     rows: list[Row] = []
     for change in plan.reflector_changes.reported_changes:
         weights = {name: weight for name, weight in weights_by_target.items() if name != change.reflector}
-        simulated_gain = gain((scenario, changed(scenario, change)), weights, trials, options.jobs)
+        simulated_gain = gain((scenario, with_change(scenario, change)), weights, trials, options.jobs)
         is_inside_interval = (
             simulated_gain["gain_low_um"] <= change.target_rms_decrease_um <= simulated_gain["gain_high_um"]
         )

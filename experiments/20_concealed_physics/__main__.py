@@ -37,7 +37,7 @@ def try_laws(groups: tuple[str, ...]) -> None:
         excluded: Counter[str] = Counter()
         case = make.Case(1, "unknown", "hall", name, 100, 0, (law.group,))
         try:
-            _, _, cause, change = make.drawn(case, excluded)
+            _, _, cause, change = make.draw_case(case, excluded)
         except RuntimeError as problem:
             print(f"{law.group}  {name}: {problem}; excluded {dict(excluded)}")
             continue
@@ -47,22 +47,22 @@ def try_laws(groups: tuple[str, ...]) -> None:
         print(f"{law.group}  {name}: {size}; {text}; excluded {dict(excluded)}")
 
 
-def score(work: Path, names: list[str], out: Path, plan: str) -> None:
+def score(work_folder: Path, names: list[str], out: Path, plan: str) -> None:
     """Score programs, and print the table; exit with a message if the checksum of the truth is wrong.
 
     Programs that were scored earlier into the same folder stay in its table.
     """
-    text = (work / make.TRUTH).read_bytes()
-    seal = (work / make.SEAL).read_text(encoding="utf-8").split()[0]
+    text = (work_folder / make.TRUTH).read_bytes()
+    seal = (work_folder / make.SEAL).read_text(encoding="utf-8").split()[0]
     if hashlib.sha256(text).hexdigest() != seal:
-        sys.exit(f"the checksum of {work / make.TRUTH} differs from {work / make.SEAL} ({seal})")
+        sys.exit(f"the checksum of {work_folder / make.TRUTH} differs from {work_folder / make.SEAL} ({seal})")
     truth = json.loads(text).values()
     rows = {}
     for name in names:
-        done = [t for t in truth if (work / "answers" / name / t["name"] / entrants.STATUS).is_file()]
+        done = [t for t in truth if (work_folder / "answers" / name / t["name"] / entrants.STATUS).is_file()]
         if not done:
-            sys.exit(f"{work} contains no answers of '{name}'; run the step `answer` first")
-        rows[name] = [score_recording(t, work / "answers" / name / t["name"]) for t in done]
+            sys.exit(f"{work_folder} contains no answers of '{name}'; run the step `answer` first")
+        rows[name] = [score_recording(t, work_folder / "answers" / name / t["name"]) for t in done]
     excluded = sum(sum(t["excluded"].values()) for t in truth)
     write_report(rows, out, {"plan": plan, "sha256": seal, "recordings": len(truth), "draws_excluded": excluded})
     print((out / "table.md").read_text(encoding="utf-8"))

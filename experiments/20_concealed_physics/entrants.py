@@ -52,7 +52,7 @@ def ideal(recording: Path, out: Path) -> None:
 
 def plain(recording: Path, out: Path) -> None:
     """Write the answer of the calibration of the instrument in a network adjustment, with its global test."""
-    _calibrated(recording, out, robust=False)
+    _write_calibration(recording, out, robust=False)
 
 
 def snooping(recording: Path, out: Path) -> None:
@@ -60,7 +60,7 @@ def snooping(recording: Path, out: Path) -> None:
 
     Readings that fail the test are rejected, and each is tested again at the end.
     """
-    _calibrated(recording, out, robust=True)
+    _write_calibration(recording, out, robust=True)
 
 
 def huber(recording: Path, out: Path) -> None:
@@ -73,7 +73,7 @@ def huber(recording: Path, out: Path) -> None:
     from ltsim.adjustment import adjust
     from ltsim.physics.model.construction import misalignment_construction
 
-    data = _calibrated(recording, out, robust=False)
+    data = _write_calibration(recording, out, robust=False)
     adjustment = adjust(data, misalignment_construction())
     for _ in range(HUBER_ROUNDS - 1):
         size = np.abs(np.nan_to_num(adjustment.residuals / data.reading_sigmas())) / HUBER
@@ -110,7 +110,7 @@ def gama(recording: Path, out: Path) -> None:
     setup = data.setup.model_copy(update={"stations": stations})
     lt.write(data.replace(setup=setup, readings=level), out / "network.gkf", format="gama-local")
     files = [str(out / "network.gkf"), "--xml", str(out / "adjusted.xml")]
-    command = [NEEDED["gama"], *files, "--algorithm", "cholesky", "--cov-band", "0"]
+    command = [EXECUTABLES["gama"], *files, "--algorithm", "cholesky", "--cov-band", "0"]
     subprocess.run(command, check=True, timeout=LIMIT_S, capture_output=True)
     adjusted = ElementTree.parse(out / "adjusted.xml").getroot()
     points = {p[0].text: [1e3 * float(c.text) for c in p[1:]] for p in adjusted.iterfind(".//{*}adjusted/{*}point")}
@@ -119,7 +119,7 @@ def gama(recording: Path, out: Path) -> None:
     _verdict(out, float(chi2.sf(squares, dof)))
 
 
-def _calibrated(recording: Path, out: Path, *, robust: bool) -> Any:
+def _write_calibration(recording: Path, out: Path, *, robust: bool) -> Any:
     """Recording; its targets after calibration and the global test before rejections are written.
 
     Programs of this kind report no cause, so the findings are empty.
@@ -145,24 +145,25 @@ def _targets(out: Path, names: Sequence[str], places_mm: Any) -> None:
 
 PROGRAMS: tuple[Callable[[Path, Path], None], ...] = (ltsim, plain, snooping, huber, gama, ideal)
 ENTRANTS = {program.__name__: program for program in PROGRAMS}
-NEEDED = {"gama": "gama-local"}  # executables that must be on the PATH
+EXECUTABLES = {"gama": "gama-local"}  # executables that must be on the PATH
 
 
-def answer(work: Path, name: str, command: str = "", jobs: int = 1) -> bool:
+def answer(work_folder: Path, name: str, command: str = "", jobs: int = 1) -> bool:
     """True after a program has diagnosed all recordings without an answer; False if the program is not installed.
 
     Answers are written to `answers/NAME`.
     """
-    program = NEEDED.get(name, "") if not command else ""
+    program = EXECUTABLES.get(name, "") if not command else ""
     if program and shutil.which(program) is None:
         print(f"{name}: skipped, because {program} is not on the PATH")
         return False
-    folders = sorted(f for f in (work / RECORDINGS).iterdir() if f.is_dir())
-    open_folders = [f for f in folders if not (work / "answers" / name / f.name / STATUS).is_file()]
+    folders = sorted(f for f in (work_folder / RECORDINGS).iterdir() if f.is_dir())
+    open_folders = [f for f in folders if not (work_folder / "answers" / name / f.name / STATUS).is_file()]
     with ProcessPoolExecutor(jobs) as pool:
         list(
             pool.map(
-                partial(_answer_recording, answers=work / "answers" / name, name=name, command=command), open_folders
+                partial(_answer_recording, answers=work_folder / "answers" / name, name=name, command=command),
+                open_folders,
             )
         )
     return True

@@ -18,10 +18,10 @@ from scipy.special import logsumexp
 from .hall import LENGTH_SIGMA, Hall
 from .law import OBSERVABLES, Cause, Draw, laws_of
 from .laws.catalogue import KNOWN
-from .make import TRUTH, Case, drawn
+from .make import TRUTH, Case, draw_case
 from .measure import Model
 from .network import STEPS, Network
-from .score import SHOWN
+from .score import MIN_SHOWN_FRACTION
 from .tracker import ARCSECOND, GUARANTEED, Array, Change, Pointings, within_a_turn
 
 LawFunction = Callable[[Hall, Draw], Cause]
@@ -46,7 +46,9 @@ class Linear:
         """Central differences at the true values of the hall."""
         hall = network.hall
         steps = {"target": STEPS, "station": STEPS, "turn": STEPS, "constants": GUARANTEED}
-        blocks = {what: _slopes(hall.pointings, what, step) / hall.sigma[:, :, None] for what, step in steps.items()}
+        blocks = {
+            part: _part_derivatives(hall.pointings, part, step) / hall.sigma[:, :, None] for part, step in steps.items()
+        }
         return cls(network, blocks)
 
     def signature(self, change: Change) -> Array:
@@ -55,9 +57,9 @@ class Linear:
         whole = np.zeros((hall.n, 3))
         if "reading" in parts:
             whole += parts["reading"] / hall.sigma
-        for what, block in self.blocks.items():
-            if what in parts:
-                whole += (block @ parts[what][:, :, None])[:, :, 0]
+        for part, block in self.blocks.items():
+            if part in parts:
+                whole += (block @ parts[part][:, :, None])[:, :, 0]
         rows = np.zeros(len(self.network.design))
         rows[: whole.size] = whole.ravel()
         if change.lengths is not None:
@@ -65,12 +67,12 @@ class Linear:
         return rows
 
 
-def _slopes(p: Pointings, what: str, steps: Array) -> Array:
+def _part_derivatives(p: Pointings, part: str, steps: Array) -> Array:
     """(n, 3, k) Derivatives of the readings by one part of `Change`."""
     columns = []
     for step in np.diag(steps):
         moved = np.tile(step, (len(p), 1))
-        change = p.readings(Change(**{what: moved})) - p.readings(Change(**{what: -moved}))
+        change = p.readings(Change(**{part: moved})) - p.readings(Change(**{part: -moved}))
         change[:, 1] = within_a_turn(change[:, 1])
         columns.append(change / (2 * step.sum()))
     return np.stack(columns, axis=2)
@@ -210,7 +212,7 @@ def answer(recording: Path, out: Path) -> None:
     """Write the answer for one recording; of the truth, only the seed of the hall and the list of laws are used."""
     truth = json.loads((recording.parent.parent / TRUTH).read_text(encoding="utf-8"))[recording.name]
     case = Case.of(truth)
-    hall, network, _, _ = drawn(case, Counter())
+    hall, network, _, _ = draw_case(case, Counter())
     laws: dict[str, LawFunction] = {**KNOWN, **laws_of(case.laws)}
     readings, lengths = read_recording(recording, hall)
     whitened = network.whitened(readings - network.base, lengths - hall.lengths)
@@ -236,7 +238,7 @@ def finding_of(network: Network, opinion: Opinion) -> dict[str, Any]:
     words = opinion.cause.words
     noise = bool((opinion.factor != 1.0).any())
     parts = (network.noise_strengths(opinion.factor) if noise else network.mean_strengths(opinion.change))[:3]
-    shown = [n for n, part in zip(OBSERVABLES, parts.tolist(), strict=True) if part > SHOWN * parts.sum()]
+    shown = [n for n, part in zip(OBSERVABLES, parts.tolist(), strict=True) if part > MIN_SHOWN_FRACTION * parts.sum()]
     where = {key: words.get(key, []) for key in ("stations", "targets", "instruments")}
     where["observables"] = words.get("observables", shown)
     where["covariates"] = [alternatives[0] for alternatives in words.get("follows", ())]

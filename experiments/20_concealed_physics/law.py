@@ -18,7 +18,7 @@ OBSERVABLES = ("distance", "azimuth", "elevation")
 MICRO = 1e-6
 UP, OUT = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
 """Directions upwards (`UP`) and away from the wall (`OUT`)."""
-UNTOUCHED = 1e-9
+UNTOUCHED_FRACTION = 1e-9
 """Fraction of the largest amount up to which a pointing counts as not changed."""
 LAWS = Path(__file__).resolve().parent / "laws"
 FRESH, CATALOGUE = "fresh_", "catalogue"
@@ -191,7 +191,7 @@ def place(h: Hall, change: Change) -> dict[str, list[str]]:
     parts = {name: np.abs(part).max(axis=1) for name, part in change.parts.items() if name != "lengths"}
     p, hit = h.pointings, np.zeros(h.n, dtype=bool)
     for amount in parts.values():
-        hit |= amount > UNTOUCHED * amount.max()
+        hit |= amount > UNTOUCHED_FRACTION * amount.max()
     stations, trackers, targets = (np.unique(index[hit]) for index in (p.station, p.tracker, p.target))
     if len(stations) == 1:
         places["stations"] = [h.stations[stations[0]]]

@@ -26,7 +26,7 @@ TRIES = 40
 ABSURD = {"reading": 300e-6, "target": 600e-6, "station": 600e-6, "turn": 300e-6, "constants": 300e-6, "variance": 50.0,
           "lengths": 2e-3}  # fmt: skip
 """Limits [m, rad] of each part of a change; draws with larger changes are excluded, because they would be obvious."""
-SMALLEST, LARGEST = -4.0, 4.0
+SMALLEST_DECADE, LARGEST_DECADE = -4.0, 4.0
 """Decimal logarithms of the smallest and largest size in the search for the required strength."""
 
 
@@ -82,21 +82,21 @@ def read_plan(path: Path) -> list[Case]:
     return sorted(cases, key=lambda c: c.name)
 
 
-def make(cases: Sequence[Case], work: Path, jobs: int = 1) -> str:
+def make(cases: Sequence[Case], work_folder: Path, jobs: int = 1) -> str:
     """Checksum (sha256) of the truth, after recordings, truth and checksum have been written to a folder."""
     with ProcessPoolExecutor(jobs) as pool:
-        made = list(pool.map(make_recording, cases, [work / RECORDINGS] * len(cases), chunksize=4))
+        made = list(pool.map(make_recording, cases, [work_folder / RECORDINGS] * len(cases), chunksize=4))
     truth = json.dumps({t["name"]: t for t in made}, indent=1) + "\n"
     seal = hashlib.sha256(truth.encode()).hexdigest()
-    (work / TRUTH).write_text(truth, encoding="utf-8")
-    (work / SEAL).write_text(f"{seal}  {TRUTH}\n", encoding="utf-8")
+    (work_folder / TRUTH).write_text(truth, encoding="utf-8")
+    (work_folder / SEAL).write_text(f"{seal}  {TRUTH}\n", encoding="utf-8")
     return seal
 
 
 def make_recording(case: Case, folder: Path) -> dict[str, Any]:
     """Truth of one recording, which is written to `folder`."""
     excluded: Counter[str] = Counter()
-    hall, network, cause, change = drawn(case, excluded)
+    hall, network, cause, change = draw_case(case, excluded)
     rng = case.stream("noise")
     noise = rng.standard_normal((hall.n, 3)), rng.standard_normal(len(hall.bars))
     spread = hall.sigma if change.variance is None else hall.sigma * np.sqrt(1.0 + change.variance)
@@ -120,7 +120,7 @@ def make_recording(case: Case, folder: Path) -> dict[str, Any]:
     }
 
 
-def drawn(case: Case, excluded: Counter[str]) -> tuple[Hall, Network, Cause, Change]:
+def draw_case(case: Case, excluded: Counter[str]) -> tuple[Hall, Network, Cause, Change]:
     """Hall, network, cause and change with the required strength; `excluded` counts excluded draws by reason."""
     rng = case.stream("hall")
     for _ in range(TRIES):
@@ -133,7 +133,7 @@ def drawn(case: Case, excluded: Counter[str]) -> tuple[Hall, Network, Cause, Cha
             excluded["the hall lacks what the law needs"] += 1
             continue
         network, whole = Network.of(hall), cause.change
-        size = _size(network, whole, case.strength)
+        size = _size_of_strength(network, whole, case.strength)
         change = whole.scaled(size)
         if size and all(np.abs(part).max() < ABSURD[k] for k, part in change.parts.items()):
             return hall, network, replace(cause, values=size * cause.values), change
@@ -141,12 +141,12 @@ def drawn(case: Case, excluded: Counter[str]) -> tuple[Hall, Network, Cause, Cha
     raise RuntimeError(f"'{case.law}' has the strength {case.strength} at a plausible size in none of {TRIES} halls")
 
 
-def _size(network: Network, change: Change, wanted: float) -> float:
-    """Factor at which a change has the strength `wanted`; 0 if it is larger than `LARGEST` decades."""
+def _size_of_strength(network: Network, change: Change, strength: float) -> float:
+    """Factor at which a change has the given strength; 0 if it is larger than `LARGEST` decades."""
 
     def miss(decade: float) -> float:
-        return float(np.log(max(network.strengths(change.scaled(10**decade)).sum(), 1e-30) / wanted))
+        return float(np.log(max(network.strengths(change.scaled(10**decade)).sum(), 1e-30) / strength))
 
-    if miss(LARGEST) <= 0.0:
+    if miss(LARGEST_DECADE) <= 0.0:
         return 0.0
-    return float(10 ** brentq(miss, SMALLEST, LARGEST, xtol=1e-4))
+    return float(10 ** brentq(miss, SMALLEST_DECADE, LARGEST_DECADE, xtol=1e-4))

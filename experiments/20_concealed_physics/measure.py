@@ -69,10 +69,10 @@ class Model:
         rest, whole = (network.residual(v) for v in (signal - self.whitened(network), signal))
         return float(1.0 - (rest @ rest) / (whole @ whole))
 
-    def observables(self, network: Network, least: float, *, noise: bool) -> set[str]:
-        """Observables with more than the fraction `least` of the strength of the model."""
+    def observables(self, network: Network, min_fraction: float, *, noise: bool) -> set[str]:
+        """Observables with more than the fraction `min_fraction` of the strength of the model."""
         parts = network.noise_strengths(self.variance) if noise else network.mean_strengths(self.whitened(network))
-        return {name for name, part in zip(OBSERVABLES, parts[:3], strict=True) if part > least * parts.sum()}
+        return {name for name, part in zip(OBSERVABLES, parts[:3], strict=True) if part > min_fraction * parts.sum()}
 
 
 def _columns(file: Path, names: Sequence[str], rows: int) -> Array | None:

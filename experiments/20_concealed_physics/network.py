@@ -60,9 +60,9 @@ class Network:
             return self.noise_strengths(1.0 + change.variance)
         return self.mean_strengths(self.signature(change))
 
-    def mean_strengths(self, whole: Array) -> Array:
+    def mean_strengths(self, columns: Array) -> Array:
         """(4,) Noncentrality of a whitened change (m,) by observable and in the lengths: change times its residual."""
-        return self._by_observable(whole * self.residual(whole))
+        return self._by_observable(columns * self.residual(columns))
 
     def noise_strengths(self, factor: Array) -> Array:
         """(4,) Expected decrease of minus twice the restricted log likelihood, for variance factors (n, 3)."""
@@ -74,13 +74,13 @@ class Network:
         """(3 n,) Redundancy number of each reading."""
         return np.asarray(1.0 - (self.basis[: self.base.size] ** 2).sum(axis=1))
 
-    def residual(self, whole: Array) -> Array:
+    def residual(self, columns: Array) -> Array:
         """(m, ...) Residuals of whitened columns after adjustment of the unknowns."""
-        return np.asarray(whole - self.basis @ (self.basis.T @ whole))
+        return np.asarray(columns - self.basis @ (self.basis.T @ columns))
 
-    def _by_observable(self, each: Array) -> Array:
+    def _by_observable(self, values: Array) -> Array:
         readings = self.base.size
-        return np.append(each[:readings].reshape(-1, 3).sum(axis=0), each[readings:].sum())
+        return np.append(values[:readings].reshape(-1, 3).sum(axis=0), values[readings:].sum())
 
     def target_error(
         self, noise: tuple[Array, Array], change: Change, modelled_changes: Sequence[Change] = ()
@@ -118,7 +118,7 @@ def _design(hall: Hall) -> Array:
         [
             _derivatives(p, "target", p.target, targets, STEPS),
             _derivatives(p, "constants", p.tracker, trackers, GUARANTEED),
-            *(_derivatives(p, what, p.station, stations, STEPS)[:, :, 3:] for what in ("station", "turn")),
+            *(_derivatives(p, part, p.station, stations, STEPS)[:, :, 3:] for part in ("station", "turn")),
         ],
         axis=2,
     )
@@ -133,12 +133,12 @@ def _design(hall: Hall) -> Array:
     return np.vstack([(readings / hall.sigma[:, :, None]).reshape(3 * hall.n, -1), reference_residuals])
 
 
-def _derivatives(p: Pointings, what: str, owner: Index, owners: int, steps: Array) -> Array:
+def _derivatives(p: Pointings, part: str, owner: Index, owners: int, steps: Array) -> Array:
     """(n, 3, owners * k) Derivatives of the readings by a part of `Change`, with k columns for each owner."""
     derivatives = np.zeros((len(p), 3, owners, len(steps)))
     for column, step in enumerate(np.diag(steps)):
         moved = np.tile(step, (len(p), 1))
-        change = p.readings(Change(**{what: moved})) - p.readings(Change(**{what: -moved}))
+        change = p.readings(Change(**{part: moved})) - p.readings(Change(**{part: -moved}))
         change[:, 1] = within_a_turn(change[:, 1])
         derivatives[np.arange(len(p)), :, owner, column] = change / (2 * steps[column])
     return derivatives.reshape(len(p), 3, -1)

@@ -15,7 +15,12 @@ from .__main__ import plan_file, score
 from .report import QUESTIONS, Answer, rewrite_report
 
 WORK = ROOT / "build" / "concealed"  # recordings, truth and answers, from which an interrupted run continues
-DRAWN = {"detected": "detected", "place": "place", "observable": "observable", "covariates_or_outside": "covariates"}
+DRAWN_QUESTIONS = {
+    "detected": "detected",
+    "place": "place",
+    "observable": "observable",
+    "covariates_or_outside": "covariates",
+}
 
 
 def run(options: Options) -> RunRecord:
@@ -41,7 +46,9 @@ def draw(folder: Path) -> None:
     """Draw the scores of the first program and the target errors of all programs, for laws in small halls."""
     summaries = json.loads((folder / "scores.json").read_text(encoding="utf-8"))["entrants"]
     first = next(iter(summaries))
-    reports = [p for key, label in DRAWN.items() for p in points(summaries[first], QUESTIONS[key], label, first)]
+    reports = [
+        p for key, label in DRAWN_QUESTIONS.items() for p in points(summaries[first], QUESTIONS[key], label, first)
+    ]
     errors = [p for level in ("median", "95 %") for who, answers in summaries.items()
               for p in points(answers, f"error of targets over that given the law, {level}", who, level)]  # fmt: skip
     axis = "noncentrality after the adjustment"

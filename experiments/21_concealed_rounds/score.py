@@ -51,7 +51,7 @@ def fits(answer: dict[str, Any], finding: dict[str, Any]) -> bool:
     return same and (not kinds[0] or not kinds[1] or bool(kinds[0] & kinds[1]))
 
 
-def scored(name: str, truth: dict[str, Any], diagnosis: dict[str, Any]) -> Row:
+def score_recording(name: str, truth: dict[str, Any], diagnosis: dict[str, Any]) -> Row:
     """Row of the scores of one recording."""
     answers, findings = truth["case"]["answer"], list(diagnosis["findings"])
     count = Counter({"of": sum(a["effect"] != "unknown" for a in answers)})

@@ -49,7 +49,7 @@ Names = list[tuple[str, str, str, float]]
 """Task, result, unit, and SI value of the unit, for each result."""
 
 
-def predicted(truth: TrueNetwork, tasks: Tasks, dropped: str = "") -> tuple[LinearUncertainty, Names, Floats]:
+def predict_uncertainty(truth: TrueNetwork, tasks: Tasks, dropped: str = "") -> tuple[LinearUncertainty, Names, Floats]:
     """Uncertainty of an error-free recording, the names of its results, and its targets (T, 3) [m].
 
     The effect `dropped` is removed from the uncertainty budget.
@@ -91,7 +91,7 @@ def run(options: Options) -> RunRecord:
     rows: list[Any] = []
     for case in config["cases"]:
         truth = make_true_network(scenario_of(config["scenario"], case), seed)
-        linear, names, placed = predicted(truth, tasks, case.get("dropped", ""))
+        linear, names, placed = predict_uncertainty(truth, tasks, case.get("dropped", ""))
         work = [(truth, tasks, placed, seed, number) for number, _ in batches(trials, TRIALS_PER_STREAM)]
         errors = np.concatenate([*run_parallel(errors_of, work, options.jobs)])[:trials]
         rows += table_of(case["title"], errors, linear, names)

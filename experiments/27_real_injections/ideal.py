@@ -34,14 +34,14 @@ LOG_ODDS_NONE = 0.0
 """Log prior odds of no cause against any cause."""
 STRENGTH = 100.0
 """Noncentrality of the injections."""
-CARDS = tuple(
+CATALOGUE_EFFECTS = tuple(
     kind.name
     for kind in CATALOGUE
     if not issubclass(kind, NoiseEffect | Blunder)
     and kind.name not in {effect.name for effect in ORDINARY_CALIBRATION_EFFECTS}
 )
 """Names of the catalogue effects that change readings and that the ordinary calibration does not estimate."""
-MOST_BACKGROUND = 5
+MAX_BACKGROUND_CAUSES = 5
 """Largest number of causes that are estimated in an original recording, without injection."""
 
 
@@ -112,7 +112,7 @@ class Observer:
     def with_background(self) -> "Observer":
         """Observer that estimates also those causes of its list that the original recording contains."""
         observer = self
-        for _ in range(MOST_BACKGROUND):
+        for _ in range(MAX_BACKGROUND_CAUSES):
             opinion = observer.opinion(observer.space.whitened_residuals)
             if opinion is None:
                 break
@@ -140,7 +140,7 @@ def examined_network(network: Row, settings: Row) -> list[Row]:
     _, weighted, _ = background(network["file"], network.get("clockwise", False), estimates_noise=False)
     space = ResidualSpace.from_adjustment(adjust(weighted, declared_construction(weighted)))
     kinds, unit = settings["kinds"], unit_of(weighted)
-    simulated, catalogue = Observer.of(space, kinds, unit), Observer.of(space, [*CARDS, *kinds], unit)
+    simulated, catalogue = Observer.of(space, kinds, unit), Observer.of(space, [*CATALOGUE_EFFECTS, *kinds], unit)
     observers = {
         "simulated": simulated,
         "listed": simulated.with_background(),

@@ -17,9 +17,9 @@ from ltsim.recordings import Hints, Recording
 from ltsim.recordings.recording import SIGMA_COLUMNS
 from ltsim.simulation.injector import RecordingWithInjection
 
-SAME = 0.5
+MIN_COMMON_FRACTION = 0.5
 """Fraction of common stations or targets from which two groups of several count as the same place."""
-GREW = 0.01
+MIN_GROWTH = 0.01
 """Relative growth of the chi-square decrease from which a finding of the background counts as new.
 
 The decrease by a blunder of metres changes with every micrometre of the network."""
@@ -39,24 +39,28 @@ def background(file: str, clockwise: bool, estimates_noise: bool) -> tuple[Recor
     return recording, weighted, tuple(diagnosis.findings)
 
 
-def place(part: Any, recording: Recording) -> tuple[set[str], set[str]]:
+def place(finding_or_cause: Any, recording: Recording) -> tuple[set[str], set[str]]:
     """Stations and targets of a finding or a cause; all of them if it is not confined."""
-    instruments = set(getattr(part, "instruments", ()))
+    instruments = set(getattr(finding_or_cause, "instruments", ()))
     stations_of_instruments = {s for s, i in zip(recording.station, recording.instrument, strict=True)
            if recording.instruments[i] in instruments}  # fmt: skip
-    stations = set(part.stations) or {recording.stations[s] for s in stations_of_instruments} or set(recording.stations)
-    return stations, set(part.targets) or set(recording.targets)
+    stations = (
+        set(finding_or_cause.stations)
+        or {recording.stations[s] for s in stations_of_instruments}
+        or set(recording.stations)
+    )
+    return stations, set(finding_or_cause.targets) or set(recording.targets)
 
 
-def is_located(cause: CandidateEffect, where: Any, recording: Recording) -> bool:
+def is_located(cause: CandidateEffect, finding_place: Any, recording: Recording) -> bool:
     """True if a finding has the stations and targets of the cause, and an observable in common.
 
     Of several stations or targets, half in common are enough.
     """
-    pairs = zip(place(cause, recording), place(where, recording), strict=True)
-    agree = all(a == b if len(a) < 2 else len(a & b) >= SAME * len(a | b) for a, b in pairs)
+    pairs = zip(place(cause, recording), place(finding_place, recording), strict=True)
+    agree = all(a == b if len(a) < 2 else len(a & b) >= MIN_COMMON_FRACTION * len(a | b) for a, b in pairs)
     acts = set(cause.observables)
-    return agree and (not where.observables or not acts or bool(acts & set(where.observables)))
+    return agree and (not finding_place.observables or not acts or bool(acts & set(finding_place.observables)))
 
 
 def is_named_correctly(cause: CandidateEffect, finding: Finding) -> bool:
@@ -70,10 +74,10 @@ def is_named_correctly(cause: CandidateEffect, finding: Finding) -> bool:
                                or set(finding.where.observables) == set(cause.observables))  # fmt: skip
 
 
-def is_new(finding: Finding, before: tuple[Finding, ...], strength: float) -> bool:
+def is_new(finding: Finding, background_findings: tuple[Finding, ...], strength: float) -> bool:
     """True if no finding of the background has this name and place, or only with a smaller chi-square decrease."""
-    same = [f.evidence.chi2_drop for f in before if (f.effect, key(f)) == (finding.effect, key(finding))]
-    return all(finding.evidence.chi2_drop - drop > max(strength / 2, GREW * drop) for drop in same)
+    same = [f.evidence.chi2_drop for f in background_findings if (f.effect, key(f)) == (finding.effect, key(finding))]
+    return all(finding.evidence.chi2_drop - drop > max(strength / 2, MIN_GROWTH * drop) for drop in same)
 
 
 def key(finding: Finding) -> Any:

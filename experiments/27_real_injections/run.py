@@ -38,10 +38,10 @@ from . import ideal
 from .injections import background, injection, is_located, is_named_correctly, is_new, key
 
 MEASURES = {"detected": "detected", "located": "correctly located", "reported": "correctly reported"}
-DRAWN = (*MEASURES.values(), "reliability")
+DRAWN_MEASURES = (*MEASURES.values(), "reliability")
 ESTIMATED_NOISE = "estimated-noise"
 FINDING_COUNTS = ("new_findings", "findings_of_injection", "reworded_findings")
-COUNTED = ("site", "file", "kind", "strength", "trial", "hidden", *MEASURES, *FINDING_COUNTS)
+ROW_COLUMNS = ("site", "file", "kind", "strength", "trial", "hidden", *MEASURES, *FINDING_COUNTS)
 
 
 def examined_injection(network: Row, kind: str, strength: float, trial: int, seed: int, estimates_noise: bool) -> Row:
@@ -145,7 +145,7 @@ def run(options: Options) -> RunRecord:
     ending = "".join(f"_{word.replace('-', '_')}" for word in options.arguments)
     rows = injected_rows(options, settings | {"strengths": strengths}, ESTIMATED_NOISE in options.arguments)
     table = table_of(rows, strengths)
-    write_table(options.out / f"rows{ending}.csv", [{k: r.get(k, "") for k in COUNTED} for r in rows])
+    write_table(options.out / f"rows{ending}.csv", [{k: r.get(k, "") for k in ROW_COLUMNS} for r in rows])
     write_table(options.out / f"table{ending}.csv", table)
     if "strengths" in options.arguments:
         draw_curves(options.out, table)
@@ -155,8 +155,8 @@ def run(options: Options) -> RunRecord:
 def draw_curves(out: Path, table: list[Row]) -> None:
     """Figure of the fractions over the strength, for all networks."""
     ends = ("proportion", "low", "high", "proportion", "proportion")
-    curves = [SweepPoint(str(r["strength"]), r["measure"], "", *(100 * r[k] for k in ends))
-              for r in table if r["network"] == "all" and r["strength"] != "all" and r["measure"] in DRAWN]  # fmt: skip
+    rows = [r for r in table if r["network"] == "all" and r["strength"] != "all" and r["measure"] in DRAWN_MEASURES]
+    curves = [SweepPoint(str(r["strength"]), r["measure"], "", *(100 * r[k] for k in ends)) for r in rows]
     axis = "noncentrality after the adjustment"
     title = "fraction of causes or of findings [%]"
     write_figure(out / "curves.svg", sweep_panels_figure(curves, statistic_title=title, x_title=axis))

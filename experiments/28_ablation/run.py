@@ -25,7 +25,7 @@ from ltsim.reports.figures.campaign import SweepPoint, sweep_panels_figure
 
 make = import_module("experiments.20_concealed_physics.make")
 WORK, LEVEL = ROOT / "build" / "ablation", 0.05
-WHOLE, CHI2, CARDS, NOISE = "complete search", "chi-square test", "catalogue", "noise"
+COMPLETE_SEARCH, CHI2, CATALOGUE, NOISE = "complete search", "chi-square test", "catalogue", "noise"
 Part = tuple[str, str]
 Scored = tuple[float, Floats]
 
@@ -53,7 +53,7 @@ def parts_of(space: ResidualSpace) -> dict[Part, list[Scored]]:
         log_prior_of_each_explanation("named", len(cards.family_names)),
         cards.log_evidence_by_family(values),
     )
-    scored_parts = {(CARDS, CARDS): [(float(log_sum_exp(families + share)), log_sum_exp(chance + share))],
+    scored_parts = {(CATALOGUE, CATALOGUE): [(float(log_sum_exp(families + share)), log_sum_exp(chance + share))],
              (NOISE, NOISE): [(float(log_sum_exp(log_evidences)), log_sum_exp(drawn))]}  # fmt: skip
     for panel in law_batches(space):
         part = panel.responses[0].changed_part, part_of(panel.regressors[0])
@@ -75,14 +75,17 @@ def p_values_of(name: str) -> dict[str, float]:
     recording = lt.read(WORK / make.RECORDINGS / name)
     adjusted = adjust(recording, declared_construction(recording))
     parts = parts_of(ResidualSpace.from_adjustment(adjusted))
-    p_values = {CHI2: adjusted.p_value, WHOLE: p_value([s for scores in parts.values() for s in scores])}
-    for search, parts_of_search in {"without laws": (CARDS, NOISE), "curves of readings alone": ("reading",)}.items():
+    p_values = {CHI2: adjusted.p_value, COMPLETE_SEARCH: p_value([s for scores in parts.values() for s in scores])}
+    for search, parts_of_search in {
+        "without laws": (CATALOGUE, NOISE),
+        "curves of readings alone": ("reading",),
+    }.items():
         alone = [s for (carrier, driver), scores in parts.items() if carrier in parts_of_search for s in scores
                  if carrier != "reading" or driver == "smooth"]  # fmt: skip
         p_values[search] = p_value(alone)
     for position, role in ((0, "carrier"), (1, "driver")):
         for dropped in sorted({part[position] for part in parts}):
-            part_name = dropped if dropped in (CARDS, NOISE) else f"{role} {dropped}"
+            part_name = dropped if dropped in (CATALOGUE, NOISE) else f"{role} {dropped}"
             p_values[f"without {part_name}"] = p_value(
                 [s for k, scores in parts.items() if k[position] != dropped for s in scores]
             )
@@ -100,18 +103,18 @@ def run(options: Options) -> RunRecord:
         for search in dict.fromkeys(key for p_values in all_p_values for key in p_values):
             for strength in sorted({t["strength"] for t in truth.values()}):
                 detections = [
-                    (p_values.get(search, p_values[WHOLE]) <= LEVEL, t["law"] or t["name"])
+                    (p_values.get(search, p_values[COMPLETE_SEARCH]) <= LEVEL, t["law"] or t["name"])
                     for p_values, t in zip(all_p_values, truth.values(), strict=True)
                     if t["strength"] == strength
                 ]
                 rows.append({"search": search, "strength": strength} | proportion(*zip(*detections, strict=True)))
         write_table(file, rows)
     table = pd.read_csv(file).query("strength > 0").groupby("search")
-    least = table["proportion"].sum().drop([WHOLE, CHI2]).nsmallest(3)
+    least = table["proportion"].sum().drop([COMPLETE_SEARCH, CHI2]).nsmallest(3)
     ends = ("proportion", "low", "high", "proportion", "proportion")
     lines = [
         SweepPoint(str(r["strength"]), search, "", *(100 * r[k] for k in ends))
-        for search in (WHOLE, CHI2, *least.index)
+        for search in (COMPLETE_SEARCH, CHI2, *least.index)
         for r in table.get_group(search).to_dict("records")
     ]
     axis = "noncentrality after the adjustment"

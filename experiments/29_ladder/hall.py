@@ -118,7 +118,7 @@ class Hall:
                 return Place()
         return Place(station)
 
-    def lost(self, cause: Cause) -> tuple[int, ...]:
+    def lost_targets(self, cause: Cause) -> tuple[int, ...]:
         """Targets whose coordinates have no true value under a cause, or lose their reference value."""
         match cause.name:
             case "target moved":
@@ -162,7 +162,7 @@ def polar(rotation: Array, position: Array, points: Array) -> Array:
     return np.column_stack([d, np.arctan2(x[:, 1], x[:, 0]), np.arcsin(x[:, 2] / d)])
 
 
-def _of_geometry(hall: Hall, cause: Cause | None) -> Array:
+def _readings_of_geometry(hall: Hall, cause: Cause | None) -> Array:
     """Readings (n, 3) without noise, after the motion of a tripod or target by the cause."""
     position, points = hall.position[hall.station], hall.points[hall.target]
     if cause and cause.name == "tripod bumped":
@@ -175,7 +175,7 @@ def _of_geometry(hall: Hall, cause: Cause | None) -> Array:
 
 def _with_errors(hall: Hall, cause: Cause) -> Array:
     """Readings (n, 3) without noise, with an error in one reading, at a target or at a set-up."""
-    readings = _of_geometry(hall, cause)
+    readings = _readings_of_geometry(hall, cause)
     at_station, at_target = hall.station == cause.station, hall.target == cause.target
     single = int(np.flatnonzero(at_station & at_target)[0])
     match cause.name:
@@ -223,7 +223,7 @@ class Observations:
         `number` seeds the noise, which does not depend on the cause.
         """
         rng, noise = np.random.default_rng([hall.seed, number]), hall.noise
-        readings = _with_errors(hall, cause) if cause else _of_geometry(hall, cause)
+        readings = _with_errors(hall, cause) if cause else _readings_of_geometry(hall, cause)
         sigma = np.column_stack([1e-3 * noise["distance_mm"] + 1e-6 * noise["distance_ppm"] * readings[:, 0],
                                  noise["angle_arcsec"] * ARCSECOND / np.cos(readings[:, 2]),
                                  np.full(len(readings), noise["angle_arcsec"] * ARCSECOND)])  # fmt: skip

@@ -20,13 +20,13 @@ from ltsim.recordings.setup import Station
 from .hall import Array, Hall, Observations, name_of, polar
 
 GAMA = "gama-local"
-LEVEL = 0.05
+FALSE_ALARM_RATE = 0.05
 """False alarm rate of data snooping in one recording, divided among all observations (Baarda 1968)."""
-LEAST_REDUNDANCY = 1e-6
+MIN_REDUNDANCY = 1e-6
 """Redundancy below which the residual of an observation is only rounding, and is not tested."""
-MOST = 0.5
+MAX_REJECTED_FRACTION = 0.5
 """Largest fraction of the observations that snooping may reject."""
-STEPS, LEAST_STEP = 30, 1e-9
+STEPS, MIN_STEP = 30, 1e-9
 """Largest number of Gauss-Newton iterations, and the step [m, rad] below which they end."""
 LIMIT_S = 120.0
 
@@ -89,7 +89,7 @@ class Network:
             reference_rows[-1, begin : begin + 3] = sign * along / (1e-3 * o.hall.noise["length_mm"])
         return np.concatenate([rows.reshape(3 * n, width), reference_rows])
 
-    def moved(self, step: Array) -> "Network":
+    def with_step(self, step: Array) -> "Network":
         """Network after a step (u,) of the unknowns."""
         count = 3 * len(self.position)
         turn = Rotation.from_rotvec(step[count : 2 * count].reshape(-1, 3)).as_matrix()
@@ -101,17 +101,17 @@ class Network:
         network = self
         for _ in range(STEPS):
             step = np.linalg.lstsq(network.design()[use], network.misclosure()[use], rcond=1e-13)[0]
-            network = network.moved(step)
-            if np.abs(step).max() < LEAST_STEP:
+            network = network.with_step(step)
+            if np.abs(step).max() < MIN_STEP:
                 break
         return network
 
-    def standardised(self, use: Array) -> Array:
+    def standardised_residuals(self, use: Array) -> Array:
         """Standardised residuals (m,); 0 for rejected observations and observations without redundancy."""
         design = self.design()[use]
         basis = qr(design / np.linalg.norm(design, axis=0), mode="economic")[0]
         redundancy = 1.0 - (basis**2).sum(axis=1)
-        values, checked = np.zeros(len(use)), redundancy > LEAST_REDUNDANCY
+        values, checked = np.zeros(len(use)), redundancy > MIN_REDUNDANCY
         values[np.flatnonzero(use)[checked]] = self.misclosure()[use][checked] / np.sqrt(redundancy[checked])
         return values
 
@@ -140,9 +140,9 @@ def snooping(observations: Observations) -> Answer:
     critical = critical_value(len(use))
     while True:
         network = network.adjusted(use)
-        size = np.abs(network.standardised(use))
+        size = np.abs(network.standardised_residuals(use))
         worst = int(np.argmax(size))
-        if size[worst] < critical or len(rejected) >= MOST * len(use):
+        if size[worst] < critical or len(rejected) >= MAX_REJECTED_FRACTION * len(use):
             break
         rejected.append(worst)
         use[worst] = False
@@ -151,7 +151,7 @@ def snooping(observations: Observations) -> Answer:
 
 def critical_value(count: int) -> float:
     """Critical value of the largest of `count` standardised residuals."""
-    return float(norm.isf(0.5 * LEVEL / count))
+    return float(norm.isf(0.5 * FALSE_ALARM_RATE / count))
 
 
 def place_of(observations: Observations, rows: Sequence[int]) -> tuple[set[str], set[str]]:
@@ -169,7 +169,7 @@ def place_of(observations: Observations, rows: Sequence[int]) -> tuple[set[str],
     return stations, targets
 
 
-def levelled(observations: Observations) -> Observations:
+def levelled_observations(observations: Observations) -> Observations:
     """Observations of the same hall on one face, from set-ups without tilt."""
     hall = observations.hall
     upright = np.array([rotation_about_z(np.arctan2(r[0, 1], r[0, 0])) for r in hall.rotation])
@@ -182,7 +182,7 @@ def levelled(observations: Observations) -> Observations:
 
 def gama_file(observations: Observations, folder: Path) -> Path:
     """File with the levelled observations in the format of GNU Gama."""
-    recording = lt.read(levelled(observations).write(folder))
+    recording = lt.read(levelled_observations(observations).write(folder))
     setup = recording.setup
     stations = {name: Station(levelled=True) for name in recording.stations}
     file = folder / "network.gkf"

@@ -31,12 +31,12 @@ from . import peers
 from .hall import UNITS, Cause, Hall, Observations, Place, name_of
 
 RIGHT = "right"
-LIKELY = 0.5
+MIN_PROBABILITY = 0.5
 """Probability from which a further finding at a wrong place makes the report of `diagnose` wrong."""
 FACTOR, ALLOWANCE = 1.3, 2e-6
 """Factor, and additional length [m], up to which coordinate errors count as those without the cause."""
 LIMIT_S = 60.0
-SMALL = 1e-6
+SMALL_SIZE = 1e-6
 """Size [SI] at which the noncentrality is evaluated; it is proportional to the square of the size."""
 
 
@@ -68,7 +68,7 @@ def _where(report: CauseTest | Finding) -> tuple[set[str], set[str]]:
     return set(report.where.stations), set(report.where.targets)
 
 
-def _of_tests(result: Any, place: Place, count: int) -> Report:
+def _report_of_tests(result: Any, place: Place, count: int) -> Report:
     accepted = [test for test in result.tests if test.accepted]
     at = [place.includes(*_where(test)) for test in accepted]
     return Report(_coordinates(result, count), at[:1] == [True], not all(at), bool(accepted))
@@ -76,18 +76,18 @@ def _of_tests(result: Any, place: Place, count: int) -> Report:
 
 def adjust(observations: Observations, recording: Recording, place: Place, folder: Path) -> Report:
     """Report of `ltsim adjust`."""
-    return _of_tests(lt.adjust(recording), place, len(observations.hall.points))
+    return _report_of_tests(lt.adjust(recording), place, len(observations.hall.points))
 
 
 def calibrate(observations: Observations, recording: Recording, place: Place, folder: Path) -> Report:
     """Report of `ltsim calibrate`."""
-    return _of_tests(lt.calibrate(recording, advise=False), place, len(observations.hall.points))
+    return _report_of_tests(lt.calibrate(recording, advise=False), place, len(observations.hall.points))
 
 
 def diagnose(observations: Observations, recording: Recording, place: Place, folder: Path) -> Report:
     """Report of `ltsim diagnose`."""
     result = lt.diagnose(recording)
-    reported = [f for f in result.findings if f.evidence.probability >= LIKELY or f is result.findings[0]]
+    reported = [f for f in result.findings if f.evidence.probability >= MIN_PROBABILITY or f is result.findings[0]]
     at = [place.includes(*_where(finding)) for finding in reported]
     points = _coordinates(result, len(observations.hall.points))
     return Report(points, at[:1] == [True], not all(at), bool(result.findings))
@@ -109,15 +109,15 @@ def says(text: str, place: Place) -> bool:
 
 def snooping(observations: Observations, recording: Recording, place: Place, folder: Path) -> Report:
     """Report of the plain adjustment with data snooping."""
-    return _of_peer(peers.snooping(observations), place)
+    return _report_of_peer(peers.snooping(observations), place)
 
 
 def gama(observations: Observations, recording: Recording, place: Place, folder: Path) -> Report:
     """Report of GNU Gama."""
-    return _of_peer(peers.gama(observations, folder / "gama"), place)
+    return _report_of_peer(peers.gama(observations, folder / "gama"), place)
 
 
-def _of_peer(answer: peers.Answer, place: Place) -> Report:
+def _report_of_peer(answer: peers.Answer, place: Place) -> Report:
     """Report from one rejected observation.
 
     If a cause acts on several observations, any of them has the right place.
@@ -180,7 +180,7 @@ def rungs(hall: Hall, causes: Sequence[Cause | None], number: int, names: Sequen
     references: dict[tuple[str, tuple[int, ...]], float] = {}
     with TemporaryDirectory() as folder:
         for cause in causes:
-            lost, row = hall.lost(cause) if cause else (), Row()
+            lost, row = hall.lost_targets(cause) if cause else (), Row()
             for name in names:
                 problem, report = answer(name, Observations.of(hall, cause, number), cause, Path(folder) / "rung")
                 if report is None or problem:
@@ -215,8 +215,8 @@ def rungs_of(hall: Hall, settings: Mapping[str, Any]) -> Iterator[tuple[Row, Cau
         station, target = int(rng.integers(len(hall.position))), int(rng.choice(hall.ordinary))
         sizes, unit = list(entry.get("sizes", [1.0])), entry.get("unit", "")
         if unit:
-            change = Observations.of(hall, Cause(entry["name"], SMALL, station, target), noisy=False)
-            report = SMALL / np.sqrt(peers.noncentrality(hall, change)) / UNITS[unit]
+            change = Observations.of(hall, Cause(entry["name"], SMALL_SIZE, station, target), noisy=False)
+            report = SMALL_SIZE / np.sqrt(peers.noncentrality(hall, change)) / UNITS[unit]
             sizes.insert(0, float(f"{report * np.sqrt(settings['noncentrality']):.3g}"))
         for step, size in enumerate(sizes, start=1):
             cause = Cause(entry["name"], size * UNITS[unit], station, target)

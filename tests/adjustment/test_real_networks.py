@@ -128,9 +128,9 @@ def test_two_faces_of_a_total_station_on_marks():
 
 @pytest.mark.parametrize("has_points", [True, False])
 def test_parameters_of_the_simulated_scanner_are_recovered(experiment, has_points):
-    values, sigma = experiment.fitted(experiment.scanner(has_points), has_points)
+    values, sigma = experiment.fit_parameters(experiment.scanner(has_points), has_points)
     assert np.all(np.abs(values - experiment.TRUTH) < 3.2 * sigma)
-    exact, _ = experiment.fitted(experiment.rounded(None), has_points)
+    exact, _ = experiment.fit_parameters(experiment.rounded_scans(None), has_points)
     np.testing.assert_allclose(exact, experiment.TRUTH, atol=1.0)
 
 

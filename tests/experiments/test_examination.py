@@ -183,7 +183,7 @@ def test_strength_is_what_the_adjustment_leaves(name: str, strength: int, tmp_pa
     """Without noise the law leaves its strength in the chi-square of ltsim's adjustment."""
     write = import_module(PLACE + "recording").write_recording
     case = made.Case(33, "unknown", "hall", name, strength, 0, ("used",))
-    hall, _, _, change = made.drawn(case, made.Counter())
+    hall, _, _, change = made.draw_case(case, made.Counter())
     wrong = 0.0 if change.lengths is None else change.lengths
     strengths = []
     for part in (-1.0, 0.0, 1.0):  # either way: what the prior of the constants leaves has no part in the mean
@@ -249,7 +249,7 @@ HIDDEN = {
 def test_a_law_is_scored_by_the_rules(
     reported: dict[str, Any], observable: bool, all_covariates: bool, outside: bool
 ) -> None:
-    row = score._recognised(HIDDEN, reported)
+    row = score._law_scores(HIDDEN, reported)
     assert (row["observable"], row["all_covariates"], row["outside"]) == (observable, all_covariates, outside)
     assert row["covariates_or_outside"] == (all_covariates or outside)
 
