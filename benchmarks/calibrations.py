@@ -156,7 +156,7 @@ def parts() -> None:
     engine, judge = BatchCalibrator(truth, misalignment_construction()), TrialEvaluator(truth)
     network, block = engine.batch_network, truth.draw_batch(SEED, 0)
     calibrated = engine.calibrate(block)
-    x, predicted = network._first_step(block.reading_deviations, block.length_errors)
+    x, predicted = network._first_newton_step(block.reading_deviations, block.length_errors)
     gradient, cost = np.empty_like(x), np.empty(TRIALS_PER_STREAM)
     rng = np.random.default_rng(0)
     raw = judge.mean_points_by_station(block.reading_deviations)
@@ -164,7 +164,7 @@ def parts() -> None:
         "draw: normal numbers": lambda: rng.standard_normal(block.reading_deviations.shape),
         "draw: exact readings, two Newton steps": lambda: truth._exact_reading_deviations(block.instrument_values),
         "draw: everything": lambda: truth.draw_batch(SEED, 0),
-        "calibrate: linear start": lambda: network._first_step(block.reading_deviations, block.length_errors),
+        "calibrate: linear start": lambda: network._first_newton_step(block.reading_deviations, block.length_errors),
         "calibrate: residuals and gradient": lambda: network._write_gradient_and_cost(
             x, block.reading_deviations, block.length_errors, predicted, gradient, cost
         ),

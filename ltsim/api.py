@@ -101,6 +101,7 @@ def write(
     *,
     format: str = "native",  # noqa: A002
     recording: Recording | None = None,
+    with_stations: bool = False,
 ) -> None:
     """Write a recording or a result to the files that the command for it writes; true values are a single file.
 
@@ -113,6 +114,9 @@ def write(
         Format of a recording: `native`, or another format that can be written.
     recording : Recording, optional
         Recording from which a diagnosis was computed; it is written to the same folder for the report.
+    with_stations : bool
+        True to write also `points.csv` and `points.covariance.csv`, the targets and stations of an adjustment,
+        calibration or diagnosis with their joint covariance, for `uncertainty` and `compare`.
 
     Raises
     ------
@@ -131,11 +135,14 @@ def write(
     if isinstance(result, Recording):
         write_recording(result, path, format)
     else:
-        _write_result(result, Path(path), recording)
+        _write_result(result, Path(path), recording, with_stations=with_stations)
 
 
-def _write_result(result_file: ResultFile, path: Path, recording: Recording | None) -> None:
-    """Writing of a result that is not a recording; `recording` is written to the same folder if given."""
+def _write_result(result_file: ResultFile, path: Path, recording: Recording | None, *, with_stations: bool) -> None:
+    """Writing of a result that is not a recording; `recording` is written to the same folder if given.
+
+    With `with_stations` the files of targets and stations are written too.
+    """
     from ltsim.calibration.calibration import Calibration
     from ltsim.calibration.files import write_calibration
     from ltsim.diagnosis.diagnosis import Diagnosis
@@ -147,9 +154,9 @@ def _write_result(result_file: ResultFile, path: Path, recording: Recording | No
         case Truth():
             write_truth(result_file, path)
         case Calibration():
-            write_calibration(result_file, path)
+            write_calibration(result_file, path, with_stations=with_stations)
         case Diagnosis():
-            write_diagnosis(result_file, path, recording)
+            write_diagnosis(result_file, path, recording, with_stations=with_stations)
         case Plan():
             write_plan(result_file, path)
         case ResultFile():

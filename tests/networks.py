@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ltsim.adjustment import adjust
 from ltsim.adjustment.evaluation.clouds import CalibrationErrors, align_to_points, measured_points, rms_point_error
+from ltsim.adjustment.remedies.network import PlannedNetwork
+from ltsim.adjustment.remedies.next_measurement import (
+    RankedProposals,
+    rank_informative_measurements,
+    rank_measurements_between,
+)
 from ltsim.core.arrays import Floats
 from ltsim.core.randomness import random_stream
 from ltsim.geometry.rigid import rotation_about_z
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.model.construction import GeometricErrorModel, misalignment_construction
+from ltsim.physics.effects.linear_effect import LinearEffect
+from ltsim.physics.model.construction import GeometricErrorModel, declared_construction, misalignment_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import GaugeDistance, LengthGauge, Setup, Target
@@ -140,3 +149,14 @@ def target_error(points: Floats, true_points: Floats) -> float:
     """Rms [m] over targets (T, 3) of the distance of adjusted targets to the truth, after one rigid fit."""
     gap = align_to_points(points, true_points) - true_points
     return float(np.sqrt(np.nanmean(np.sum(gap**2, axis=1))))
+
+
+def ranked_measurements(
+    recording: Recording, explanations: Sequence[str] = (), with_effects: Sequence[LinearEffect] = ()
+) -> RankedProposals:
+    """Further measurements after a recording whose causes are not identified first, the best first."""
+    adjustment = adjust(recording, declared_construction(recording))
+    adjustment.solution.require_success()
+    if len(explanations) > 1:
+        return rank_measurements_between(adjustment, explanations, with_effects)
+    return rank_informative_measurements(PlannedNetwork.from_adjustment(adjustment))

@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 
 from experiments.common import Options, Row, RunRecord, show_table
+from ltsim.adjustment import adjust
 from ltsim.adjustment.remedies.candidates import CandidateMeasurement
-from ltsim.adjustment.remedies.next_measurement import rank_next_measurements
+from ltsim.adjustment.remedies.next_measurement import rank_measurements_between
 from ltsim.core.parallel import run_parallel
 from ltsim.core.randomness import random_stream
 from ltsim.core.units import MICROMETRE
@@ -15,7 +16,7 @@ from ltsim.diagnosis.detectability import explanations_of_ambiguous_finding
 from ltsim.diagnosis.diagnose import diagnose
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.geometry.rigid import rotation_about_z
-from ltsim.physics.model.construction import misalignment_construction
+from ltsim.physics.model.construction import declared_construction, misalignment_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState, sightings_at_state
 from ltsim.recordings import Recording
 from ltsim.simulation.scenario import load_scenario
@@ -87,7 +88,9 @@ def examined_recording(scenario_name: str, case: dict[str, Any], seed: int, numb
     between, context = explanations_of_ambiguous_finding(first)
     if not between:
         return row | {"between": "", "proposal": ""}
-    proposals = rank_next_measurements(recording, explanations=between, with_effects=context)
+    adjustment = adjust(recording, declared_construction(recording))
+    adjustment.solution.require_success()
+    proposals = rank_measurements_between(adjustment, between, context)
     best = proposals.proposals[0]
     second = diagnose(with_measurement(best.candidate, recording, truth, seed + number), seed=seed)
     row |= {

@@ -142,7 +142,7 @@ def draw_case(case: Case, excluded: Counter[str]) -> tuple[Hall, Network, Cause,
 
 
 def _size_of_strength(network: Network, change: Change, strength: float) -> float:
-    """Factor at which a change has the given strength; 0 if it is larger than `LARGEST` decades."""
+    """Factor at which a change has the given strength; 0 if it exceeds 10 to the power `LARGEST_DECADE`."""
 
     def miss(decade: float) -> float:
         return float(np.log(max(network.strengths(change.scaled(10**decade)).sum(), 1e-30) / strength))

@@ -193,7 +193,7 @@ class AcceptanceFile(ResultFile):
 def group_summaries(
     test_outcomes: Sequence[TestOutcome], pass_probability_by_group: Mapping[str, float] | None = None
 ) -> tuple[TestGroupSummary, ...]:
-    """Summaries of the tests of each group, from the outcomes of all tests.
+    """Summaries of the acceptance tests of each group, from the outcomes of all tests.
 
     `pass_probability_by_group` holds the predicted probability that all tests of a group pass, by name of the group; it
     is None for measured errors.

@@ -12,8 +12,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import InputError, ModelError, reraise_as_input_error
-from ltsim.core.table_headers import require_columns
+from ltsim.core.errors import InputError, ModelError, require_columns, reraise_as_input_error
 from ltsim.geometry.polar import from_polar
 from ltsim.recordings.files import parse_comma_number, safe_excerpt
 from ltsim.recordings.settings import read_toml, validate_settings

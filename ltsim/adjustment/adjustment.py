@@ -26,6 +26,7 @@ from ltsim.adjustment.snooping import drop_undetermined_targets, pose_defect_sen
 from ltsim.adjustment.stochastic_model import VarianceComponent
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
+from ltsim.core.parallel import single_threaded
 from ltsim.core.results import Result
 from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.model.construction import GeometricErrorModel, ideal_construction
@@ -35,7 +36,6 @@ from ltsim.scene.sightings import Sightings
 from ltsim.solve.design import to_dense
 from ltsim.solve.elimination import FactorisedNormals, SingularSystemError
 from ltsim.solve.gauss_newton import Solution, solution_for_plan, solve
-from ltsim.solve.threads import single_threaded
 
 MAX_SUCCESSIVELY_TESTED_READINGS = 300
 """Largest number of suspected readings at which outliers are removed one after another. If more readings are suspected,

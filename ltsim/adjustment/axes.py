@@ -214,7 +214,7 @@ def _require_same_shape(network_points: Floats, declared_points: Floats, source:
     try:
         motions = align_robustly(network_points, declared_points), align_robustly(mirror, declared_points)
     except NetworkError:
-        raise RecordError("its targets lie on one line, expected at least three that do not", file=source) from None
+        raise RecordError("the targets lie on one line, expected at least three that do not", file=source) from None
     typical = float(np.median(alignment_distances(network_points, declared_points, motions[0])))
     is_mirrored = (
         float(np.median(alignment_distances(mirror, declared_points, motions[1]))) * MIN_MISFIT_RATIO < typical

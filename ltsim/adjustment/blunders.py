@@ -11,15 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.frame import StationTargetPairs, alignment_distances
+from ltsim.adjustment.frame import StationTargetPairs
 from ltsim.adjustment.reference_tests import MAX_HORIZONTAL_TO_VERTICAL_RATIO
 from ltsim.adjustment.significance import MAX_TRACKER_ERROR
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.core.errors import NetworkError
 from ltsim.core.notation import MAX_LISTED_ITEMS
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.polar import from_polar
-from ltsim.geometry.rigid import MIN_POINTS_FOR_POSE, align_robustly
+from ltsim.geometry.rigid import MIN_POINTS_FOR_POSE, align_sets_robustly
 from ltsim.physics.effects.face_confusion import FaceConfusion
 from ltsim.physics.effects.motions import reading_change_by_displacement
 from ltsim.physics.effects.wrong_unit import WrongUnit
@@ -220,7 +219,7 @@ def correct_units(recording: Recording) -> tuple[Recording, list[IdentifiedBlund
         if more than `MAX_COMPARED_STATIONS` stations differ.
     """
     recording, findings = _correct_face_units(recording)
-    suspects = np.flatnonzero(_cloud_misfits(recording) > MIN_STATION_MISFIT_OF_WRONG_UNIT)
+    suspects = np.flatnonzero(_station_point_misfits(recording) > MIN_STATION_MISFIT_OF_WRONG_UNIT)
     if len(recording.stations) == 2:
         return recording, [*findings, *(_mirror_image_blunders(recording) if len(suspects) else ())]
     if len(suspects) > MAX_COMPARED_STATIONS:
@@ -231,7 +230,7 @@ def correct_units(recording: Recording) -> tuple[Recording, list[IdentifiedBlund
             readings = recording.readings.copy()
             readings[rows] = effect.transcription_error.without_error(readings[rows])
             corrected = recording.with_readings(readings)
-            if _cloud_misfits(corrected, [s])[s] < MIN_STATION_MISFIT_OF_WRONG_UNIT:
+            if _station_point_misfits(corrected, [s])[s] < MIN_STATION_MISFIT_OF_WRONG_UNIT:
                 moved = from_polar(readings[rows]) - from_polar(recording.readings[rows])
                 size = float(np.nanmax(np.linalg.norm(moved, axis=1)))
                 sentence = f"Station {name} was recorded with {effect.transcription_error.description}."
@@ -263,7 +262,7 @@ def _mirror_image_blunders(recording: Recording) -> list[IdentifiedBlunder]:
     readings = recording.readings.copy()
     second_station_rows = np.flatnonzero(recording.station == 1)
     readings[second_station_rows, 1] *= -1.0
-    if not _cloud_misfits(recording.with_readings(readings))[1] < MIN_STATION_MISFIT_OF_WRONG_UNIT:
+    if not _station_point_misfits(recording.with_readings(readings))[1] < MIN_STATION_MISFIT_OF_WRONG_UNIT:
         return []
     a, b = recording.stations
     sentence = f"Stations {a} and {b} measured mirror images: the azimuths of one of them are clockwise."
@@ -302,7 +301,7 @@ def correct_faces(recording: Recording) -> tuple[Recording, list[IdentifiedBlund
     return recording.replace(face=np.where(wrong, apparent_faces, recording.face)), findings
 
 
-def _cloud_misfits(recording: Recording, stations: Collection[int] | None = None) -> Floats:
+def _station_point_misfits(recording: Recording, stations: Collection[int] | None = None) -> Floats:
     """Misfits (S,) [m] of the points of S stations to those of other stations; 0 without enough common targets.
 
     The misfit of a pair of stations is the median distance of their common points after a rigid alignment. The misfit
@@ -317,16 +316,21 @@ def _cloud_misfits(recording: Recording, stations: Collection[int] | None = None
     np.put_along_axis(
         is_pair, neighbours, np.take_along_axis(n_shared, neighbours, axis=1) > MIN_POINTS_FOR_POSE, axis=1
     )
+    common: dict[int, list[tuple[int, int, Floats, Floats]]] = {}
     for a, b in np.argwhere(np.triu(is_pair | is_pair.T)).tolist():
         if not (stations is None or a in stations or b in stations):
             continue
         of_a, of_b = pairs.pair_slice_of_station(a), pairs.pair_slice_of_station(b)
         _, in_a, in_b = np.intersect1d(pairs.target_indices[of_a], pairs.target_indices[of_b], return_indices=True)
-        there, here = pairs.local_points[of_a][in_a], pairs.local_points[of_b][in_b]
-        try:
-            gaps[a, b] = gaps[b, a] = float(np.median(alignment_distances(here, there, align_robustly(here, there))))
-        except NetworkError:
-            continue
+        points = pairs.local_points[of_b][in_b], pairs.local_points[of_a][in_a]
+        common.setdefault(len(in_a), []).append((a, b, *points))
+    for group in common.values():  # pairs with equal numbers of common points are aligned together
+        first, second = np.array([(a, b) for a, b, *_ in group]).T
+        here, there = (np.stack([pair[k] for pair in group]) for k in (2, 3))
+        rotation, shift, is_determined = align_sets_robustly(here, there)
+        moved = here @ np.swapaxes(rotation, 1, 2) + shift[:, None]
+        misfits = np.where(is_determined, np.median(np.linalg.norm(moved - there, axis=2), axis=1), np.nan)
+        gaps[first, second] = gaps[second, first] = misfits
     is_compared = np.isfinite(gaps).any(axis=1)
     median_misfits = np.zeros(count)
     median_misfits[is_compared] = np.nanmedian(gaps[is_compared], axis=1)

@@ -30,27 +30,27 @@ CENTRING_EFFECT_NAME = "target-moved"
 
 @dataclass(frozen=True)
 class MarkOccupation:
-    """Occupation of a mark by an instrument or target on one day."""
+    """Occupation of a mark: an instrument or target that was set up over the mark on one day."""
 
     mark: str
     """Name of the mark."""
     role: str
     """Equipment on the mark: `instrument` or `target`."""
     day: str
-    """Day of the occupation, as text."""
+    """Day on which the equipment stood over the mark, as text."""
     shift_signs: Floats
     """Signs (n,) with which a shift of the equipment acts on n pointings: +1 for pointings to the target, -1 for
-    pointings from the instrument, 0 for pointings of other occupations."""
+    pointings from the instrument, 0 for pointings that do not involve this equipment on this day."""
 
 
 @dataclass(frozen=True)
 class CentringErrorEstimates:
-    """Estimated centring errors of k occupations, and chi-square of the adjustment with and without them."""
+    """Estimated centring errors of k occupations (set-ups over marks), and chi-square with and without these errors."""
 
     adjustment_without_centring: Adjustment
     """Adjustment without centring errors in the model."""
     occupations: tuple[MarkOccupation, ...]
-    """The k occupations with a centring error."""
+    """The k occupations (equipment over a mark on one day) with a centring error."""
     shifts: Floats
     """Centring errors of the k occupations [m], (k, 3); horizontal components only, (k, 2), if the model contains
     errors of instrument heights."""
@@ -101,7 +101,7 @@ class CentringErrorEstimates:
 
 
 def repeated_occupations(recording: Recording, station_mark_names: tuple[str, ...]) -> list[MarkOccupation]:
-    """Occupations (by instrument or target) of all marks that were occupied on several days.
+    """Occupations (set-ups of an instrument or target over a mark on one day) of all marks occupied on several days.
 
     `station_mark_names` (S,) are the names of the marks under the S stations, '' for a station without a mark.
     """
@@ -123,7 +123,7 @@ def repeated_occupations(recording: Recording, station_mark_names: tuple[str, ..
 
 
 def estimate_centring_errors(adjustment: Adjustment) -> CentringErrorEstimates | None:
-    """Centring errors of occupations; None if none is significant, or if the global test passes without them."""
+    """Estimated centring errors over marks; None if none is significant, or if the global test passes without them."""
     if not adjustment.solution.has_converged or adjustment.dof < 1 or adjustment.p_value > GLOBAL_TEST_LEVEL:
         return None
     candidates = repeated_occupations(adjustment.recording, adjustment.problem.marks.mark_names)

@@ -7,6 +7,8 @@ whitened design matrix A. An error that shifts the whitened observations by s di
 shift by one standard deviation of the error, the covariance of the unknowns due to it is P s s' P'.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 import scipy.sparse as sp
 
@@ -17,54 +19,91 @@ from ltsim.geometry.rigid import rigid_motion_jacobian
 from ltsim.physics.effects.air import reading_changes_per_air_sigma, turbulence_variance
 from ltsim.physics.effects.rays import relative_index_decrease_per_kelvin
 from ltsim.recordings.air import AirUncertainty
-from ltsim.recordings.coordinates import AXIS_NAMES, covariance_csv_text
+from ltsim.recordings.coordinates import covariance_csv_text
+from ltsim.recordings.epoch_coordinates import AXIS_NAMES
 from ltsim.solve.design import DESIGN_ROWS_PER_BATCH, DesignMatrix, to_dense, weight_rows
 
 COVARIANCE_FILE_NAME = "targets.covariance.csv"
 """Name of the file with the joint covariance of the coordinates in `targets.csv`."""
-MAX_TARGETS_IN_COVARIANCE_FILE = 400
-"""Largest number of targets for which the joint covariance is written to a file. The file grows with the square of the
-number of targets and has 20 MB at the limit."""
+POINTS_COVARIANCE_FILE_NAME = "points.covariance.csv"
+"""Name of the file with the joint covariance of the coordinates of targets and stations in `points.csv`."""
+STATION_NAME_ENDING = " (station)"
+"""Ending of the name of a station in `points.csv` if a target has the same name."""
+MAX_POINTS_IN_COVARIANCE_FILE = 400
+"""Largest number of points for which the joint covariance is written to a file. The file grows with the square of the
+number of points and has 20 MB at the limit."""
 
 
-def joint_covariance(adjustment: Adjustment) -> Floats:
-    """Joint covariance (3 T, 3 T) [m^2] of x, y and z of T targets, target by target; NaN for undetermined targets."""
-    columns = adjustment.problem.unknowns.target_columns.ravel()
+def point_names(adjustment: Adjustment, *, with_stations: bool) -> tuple[str, ...]:
+    """Names of T targets and, if requested, of S stations; a station with the name of a target gets another one."""
+    names = list(adjustment.recording.targets)
+    for station in adjustment.recording.stations if with_stations else ():
+        name = station
+        while name in names:
+            name += STATION_NAME_ENDING
+        names.append(name)
+    return tuple(names)
+
+
+def point_columns(adjustment: Adjustment, *, with_stations: bool) -> Ints:
+    """Columns (P, 3), in the design matrix, of the coordinates of P points: T targets and, if requested, S stations."""
+    unknowns = adjustment.problem.unknowns
+    columns = unknowns.target_columns
+    return np.concatenate([columns, unknowns.pose_columns[:, :3]]) if with_stations else columns
+
+
+def joint_covariance(adjustment: Adjustment, *, with_stations: bool = False) -> Floats:
+    """Joint covariance (3 P, 3 P) [m^2] of x, y and z of P points, point by point; NaN for undetermined coordinates.
+
+    The points are T targets and, if requested, the positions of S stations. Coordinates of a station that define the
+    frame have the covariance 0.
+    """
+    columns = point_columns(adjustment, with_stations=with_stations).ravel()
     unit = np.zeros((adjustment.problem.unknowns.n_columns, len(columns)))
     unit[columns, np.arange(len(columns))] = 1.0
     covariance = adjustment.factorised_normals.multiply_by_covariance(unit)[columns]
     if adjustment.datum is not None:
         covariance = adjustment.datum.transform_covariance(covariance[None], columns[None])[0]
-    is_undetermined = ~np.isfinite(np.einsum("tii->ti", adjustment.target_covariances)).ravel()
-    covariance[is_undetermined] = covariance[:, is_undetermined] = np.nan
+    variance = np.einsum("tii->ti", adjustment.target_covariances).ravel()
+    if with_stations:
+        variance = np.append(variance, np.einsum("tii->ti", adjustment.pose_covariance)[:, :3])
+    covariance[variance == 0.0] = covariance[:, variance == 0.0] = 0.0
+    covariance[np.isnan(variance)] = covariance[:, np.isnan(variance)] = np.nan
     return 0.5 * (covariance + covariance.T)
 
 
-def coordinate_covariance_csv_text(
+def reported_joint_covariance(
     adjustment: Adjustment,
     shared_displacements: Floats | None = None,
     *,
     sigma_factor: float = 1.0,
-    added_covariance: Floats | None = None,
-) -> str | None:
-    """Content of the file `targets.covariance.csv`; None for more than `MAX_TARGETS_IN_COVARIANCE_FILE` targets.
+    with_stations: bool = False,
+) -> Floats:
+    """Joint covariance (3 P, 3 P) [m^2] of P points with all errors that a result reports.
 
-    The covariance of the adjustment is multiplied by the square of `sigma_factor`. Two parts are added:
-    `added_covariance` (3 T, 3 T) [m^2], and the covariance due to k independent errors that displace all T targets.
-    `shared_displacements` (k, T, 3) [m] contains the displacements by one standard deviation of each of these errors.
+    The points are T targets and, if requested, the positions of S stations. The covariance of the adjustment is
+    multiplied by the square of `sigma_factor`. The covariance due to errors of the air is added, and the covariance due
+    to k independent errors that displace all points. `shared_displacements` (k, P, 3) [m] contains the displacements by
+    one standard deviation of each of these errors.
     """
-    names = adjustment.recording.targets
-    if len(names) > MAX_TARGETS_IN_COVARIANCE_FILE:
-        return None
-    covariance = sigma_factor**2 * joint_covariance(adjustment)
+    covariance = sigma_factor**2 * joint_covariance(adjustment, with_stations=with_stations)
+    is_fixed = np.diag(covariance) == 0.0
+    columns = point_columns(adjustment, with_stations=with_stations).reshape(1, -1)
+    covariance = covariance + covariance_due_to_air(adjustment, columns)[0]
     if shared_displacements is not None:
         errors = shared_displacements.reshape(len(shared_displacements), -1)
         covariance = covariance + errors.T @ errors
-    if added_covariance is not None:
-        covariance = covariance + added_covariance
-    is_determined = np.isfinite(np.diag(covariance))
+    covariance[is_fixed] = covariance[:, is_fixed] = 0.0
+    return covariance
+
+
+def named_covariance_csv_text(names: Sequence[str], covariance: Floats) -> str:
+    """Content of a covariance file of P points, without undetermined coordinates.
+
+    `covariance` (3 P, 3 P) [m^2] is the joint covariance of the points `names`.
+    """
+    determined_indices = np.flatnonzero(np.isfinite(np.diag(covariance)))
     coordinates = [f"{name}.{axis}" for name in names for axis in AXIS_NAMES]
-    determined_indices = np.flatnonzero(is_determined)
     return covariance_csv_text(
         [coordinates[i] for i in determined_indices.tolist()],
         covariance[np.ix_(determined_indices, determined_indices)],
@@ -217,15 +256,6 @@ def _air_right_hand_sides(adjustment: Adjustment, air: AirUncertainty) -> tuple[
         turbulent_design = weight_rows(design[row_slice], turbulence[row_slice])
         normal_matrix_parts.append(turbulent_design.T @ turbulent_design)
     return to_dense(design.T @ shifts), sum(normal_matrix_parts)
-
-
-def joint_covariance_due_to_air(adjustment: Adjustment, air: AirUncertainty | None = None) -> Floats:
-    """Joint covariance (3 T, 3 T) [m^2] of T targets due to errors of the air; zero if all ranges are short.
-
-    `air` is the uncertainty of the air, by default as declared in `setup.toml`.
-    """
-    columns = adjustment.problem.unknowns.target_columns.reshape(1, -1)
-    return covariance_due_to_air(adjustment, columns, air)[0]
 
 
 def rms_displacements_by_shared_air_error(

@@ -169,7 +169,7 @@ class InnerConstraintDatum:
         constraints[columns.ravel()] = free_motions[columns.ravel()]
         square = constraints.T @ free_motions
         if not np.linalg.eigvalsh(scale_to_unit_diagonal(square, np.diag(square))[0])[0] > NORMAL_RANK_TOLERANCE:
-            raise ModelError("these targets do not define a datum: choose at least three that are not on one line")
+            raise ModelError("the given targets do not define a datum: choose at least three that are not on one line")
         inverse = np.linalg.inv(square)
         response = multiply_covariance(constraints)
         return cls(free_motions, response @ inverse.T, inverse @ (constraints.T @ response) @ inverse.T)

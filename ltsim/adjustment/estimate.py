@@ -30,6 +30,7 @@ from ltsim.adjustment.structure import raise_for_singular_network
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import ModelError, NetworkError
 from ltsim.core.limits import MAX_ADJUSTED_POINTINGS, MAX_ADJUSTED_TARGETS
+from ltsim.core.parallel import single_threaded
 from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE, SQRT_MACHINE_EPSILON
 from ltsim.geometry.rigid import MIN_POINTS_FOR_POSE
 from ltsim.physics.effects.linear_effect import LinearEffect
@@ -42,7 +43,6 @@ from ltsim.physics.model.measurement import (
 )
 from ltsim.recordings.recording import Recording
 from ltsim.solve.gauss_newton import Solution, solve
-from ltsim.solve.threads import single_threaded
 
 
 @raise_for_singular_network
@@ -222,7 +222,7 @@ def _with_estimated_noise(
     """
     if noise_grouping is None:
         return problem, solution, ()
-    find = snoop_readings if robust else _solve
+    find = snoop_readings if robust else _solve_without_outlier_search
     return estimate_variance_components(problem, solution, noise_grouping, find, full_problem.is_used_reading)
 
 
@@ -255,7 +255,9 @@ def _require_fixed_smr_offsets(problem: NetworkProblem) -> None:
         )
 
 
-def _solve(problem: NetworkProblem, start_state: NetworkState) -> tuple[NetworkProblem, Solution[NetworkState]]:
+def _solve_without_outlier_search(
+    problem: NetworkProblem, start_state: NetworkState
+) -> tuple[NetworkProblem, Solution[NetworkState]]:
     """The unchanged problem and its least-squares solution, without rejection of outliers."""
     return problem, solve(problem, start_state)
 

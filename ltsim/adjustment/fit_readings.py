@@ -49,11 +49,11 @@ class FitReadings:
         return replace(self, readings=np.where([False, True, False], self.readings, np.nan))
 
     def without_observable(self, observable: int) -> FitReadings:
-        """Readings in which one observable is NaN: distances (`observable` 0), azimuths (1) or elevations (2)."""
+        """Copy of the readings without one observable: distances (`observable` 0), azimuths (1) or elevations (2)."""
         return replace(self, readings=np.where(np.arange(3) == observable, np.nan, self.readings))
 
     def select_rows(self, rows: Ints) -> Self:
-        """Readings of those pointings that have the indices `rows`."""
+        """Readings of some pointings, those with the indices `rows`."""
         return replace(
             self,
             readings=self.readings[rows],
@@ -72,7 +72,9 @@ class FitReadings:
         return thinned_rows, self.select_rows(thinned_rows)
 
     def residuals(self, local_points: Floats) -> tuple[Floats, Floats]:
-        """Whitened residuals (b, 3 k) of k pointings for b trial solutions, and derivatives (b, 3 k, 3) by the points.
+        """Whitened residuals (b, 3 k) of k pointings for b trial solutions.
+
+        Derivatives (b, 3 k, 3) with respect to points.
 
         `local_points` (b, k, 3) [m] are the positions of the reflectors in the instrument frame, for each trial
         solution.

@@ -181,11 +181,11 @@ class DeclaredFrame:
     def place_range_network(
         self, stations: Ints, position: Floats, targets: Ints, points: Floats
     ) -> tuple[Floats, bool]:
-        """Targets (t, 3) [m] of a network of ranges alone, moved to approximate coordinates, and a flag.
+        """Targets (t, 3) [m] of a network of ranges alone, moved to approximate coordinates; True if these suffice.
 
-        If the network is a mirror image, it is mirrored first. The flag is True if the targets are in the frame of the
-        approximate coordinates, which requires three points that are not collinear. `stations` and `targets` are the
-        indices of s stations and t targets, `position` (s, 3) and `points` (t, 3) [m] their coordinates.
+        If the network is a mirror image, it is mirrored first. Approximate coordinates suffice to define the frame if
+        they have three points that are not collinear. `stations` and `targets` are the indices of s stations and t
+        targets, `position` (s, 3) and `points` (t, 3) [m] their coordinates.
         """
         here, there = (
             np.concatenate([position, points]),
@@ -329,7 +329,7 @@ class StationTargetPairs:
 
     @classmethod
     def from_recording(cls, recording: Recording, points: Floats | None = None) -> StationTargetPairs:
-        """Pairs of a recording; the point of a pair is the median over faces and repeats, to be robust to a blunder.
+        """Station-target pairs of a recording, each with its median point over faces and repeats (robust to a blunder).
 
         `points` (n, 3) [m] are the measured points of n pointings in the instrument frame, by default computed from the
         readings without correction.
@@ -355,7 +355,7 @@ class StationTargetPairs:
         return len(self.station_indices)
 
     def pair_slice_of_station(self, station: int) -> slice:
-        """Slice of the pairs of the station with the index `station`."""
+        """Slice that selects the station-target pairs of one station, given by its index `station`."""
         return slice(int(self.first_pair_of_station[station]), int(self.first_pair_of_station[station + 1]))
 
     def last_values_by_pair(self, recording: Recording, pointing_values: Floats) -> Floats:
@@ -368,7 +368,7 @@ class StationTargetPairs:
         return by_pair
 
     def medians_by_target(self, pair_values: Floats, targets: Ints) -> Floats:
-        """Medians (k, 3) of `pair_values` (m, 3) over the pairs of each of k `targets`; NaN if all are NaN."""
+        """Medians (k, 3) of `pair_values` (m, 3) over the stations of each of k `targets`; NaN if all are NaN."""
         medians = np.full((len(targets), 3), np.nan)
         for part in batches(len(targets), 3 * int(np.diff(self.first_pair_of_target).max(initial=1))):
             first, end = self.first_pair_of_target[targets[part]], self.first_pair_of_target[targets[part] + 1]

@@ -106,7 +106,7 @@ class NetworkProblem(NetworkRows):
         )
 
     def with_model(self, model: MeasurementModel) -> NetworkProblem:
-        """Problem with another measurement model of the same pointings; reference values and weights are unchanged."""
+        """Least-squares problem with another measurement model of the same pointings, and the same reference values."""
         new_problem = NetworkProblem.from_model(
             model, sigma=self.reading_sigmas, reading_mask=self.is_used_reading, prior=self.prior
         )
@@ -218,7 +218,7 @@ class NetworkProblem(NetworkRows):
         )
 
     def linearise(self, state: NetworkState) -> BlockSystem:
-        """Linearised problem at the values `state` of the unknowns: whitened residuals and design matrix."""
+        """Linearised adjustment problem at the values `state` of the unknowns: whitened residuals and design matrix."""
         return self.linear_system(state, self.model.linearise(state))
 
     def linear_system(self, state: NetworkState, prediction: Prediction) -> BlockSystem:

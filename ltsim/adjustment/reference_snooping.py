@@ -215,7 +215,7 @@ def _most_contradicting_observation(
         return max(1.0, min(shown, float(healed)))
 
     def neg_log_corrected_p(chi2_drop: float, rank: int, n_tests: int) -> float:
-        return float(neg_log_p_chi2(chi2_drop, rank)) - float(np.log(n_tests))
+        return float(neg_log_p_chi2(chi2_drop, rank)) - float(np.log(max(n_tests, 1)))
 
     count = len(list(reference_values(problem, solution.x)))
     chances = [neg_log_corrected_p(test.chi2_drop / noise(test) ** 2, test.rank, count) for test in tests]

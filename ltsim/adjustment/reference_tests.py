@@ -63,7 +63,7 @@ class ReferenceTest(ReferenceValue):
     chi2_drop: float
     """Decrease of chi-square by the exclusion of the reference value."""
     rank: int
-    """Number of components of the reference value that the other observations of the network test."""
+    """Number of those components of the reference value that the other observations of the network check."""
     is_excluded: bool = False
     """True if the reference value contradicts the other observations and is excluded from the adjustment."""
     critical_value: float = MIN_CERTAIN_ERROR_SIGMAS

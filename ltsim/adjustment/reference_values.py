@@ -180,11 +180,11 @@ def without_reference_coordinates(recording: Recording) -> Recording:
 
 
 def exchange_coordinates(recording: Recording, first_name: str, second_name: str) -> Recording:
-    """Recording with the reference coordinates of two targets exchanged."""
+    """Recording with the reference coordinates of two targets exchanged, of which one may have no coordinates."""
     targets = dict(recording.setup.targets)
     for here, there in ((first_name, second_name), (second_name, first_name)):
-        coordinates = {key: getattr(recording.setup.targets[there], key) for key in REFERENCE_COORDINATE_KEYS}
-        targets[here] = recording.setup.targets[here].model_copy(update=coordinates)
+        coordinates = {key: getattr(recording.target_setup(there), key) for key in REFERENCE_COORDINATE_KEYS}
+        targets[here] = recording.target_setup(here).model_copy(update=coordinates)
     return recording.replace(setup=recording.setup.model_copy(update={"targets": targets}))
 
 

@@ -35,20 +35,20 @@ shape parameter, divided by the largest change of a reading by the whole effect.
 
 @dataclass(frozen=True)
 class LinearisedShapeParameter(LinearEffect):
-    """Change of an effect by a change of one of its shape parameters, linearised, for the estimation of this parameter.
+    """Linearised change of an effect by a change of one shape parameter (such as a period), to estimate this parameter.
 
     Its only parameter is the relative change of the shape parameter (such as a period or time constant).
     """
 
     effect: CandidateEffect
-    """Effect whose shape parameter changes."""
+    """Effect whose shape parameter (such as a period) changes."""
     parameter_values: tuple[float, ...]
     """Values of the parameters of the effect [SI]."""
     shape_parameter: ShapeParameter
     """Shape parameter that changes, such as a period or time constant."""
 
     name = "shape"
-    """Name of the linearised effect of a changed shape parameter."""
+    """Name of the linearised effect of a change of a shape parameter, such as a period."""
     parameters = (Parameter("relative-change", "", "relative change of a shape parameter", 1.0),)
     """Parameter of the linearised change: relative change of the shape parameter."""
 
@@ -246,7 +246,7 @@ def _values_by_effect(effects: Sequence[LinearEffect], parameter_values: Floats)
 def _effects_with_changed_shapes(
     effects: list[CandidateEffect], linearised_shapes: list[list[LinearisedShapeParameter]], changes: Floats
 ) -> list[CandidateEffect]:
-    """Effects with shape parameters changed by the relative `changes`, in the order of `linearised_shapes`."""
+    """Effects after relative `changes` of shape parameters (such as periods), in the order of `linearised_shapes`."""
     change = iter(changes.tolist())
     moves = [
         {d.shape_parameter.name: d.changed_shape_value(next(change)) for d in group} for group in linearised_shapes

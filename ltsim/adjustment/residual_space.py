@@ -15,6 +15,7 @@ from typing import Self
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.coordinate_uncertainty import point_columns
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
 from ltsim.physics.effects.linear_effect import LinearEffect
@@ -118,8 +119,7 @@ class ResidualSpace:
         """
         place, weight = self._used_reading_weights
         readings = effect.design(self.sightings).reshape(-1, len(effect.parameters))
-        nonzero = np.flatnonzero(readings) // readings.shape[1]
-        changed = nonzero[np.diff(nonzero, prepend=-1) > 0]
+        changed = np.flatnonzero(np.logical_or.reduce([column != 0.0 for column in readings.T]))
         rows = self._equation_of_reading[changed]
         changed, rows = changed[rows >= 0], rows[rows >= 0]
         lengths = self.adjustment.problem.gauge_rows.decorrelate(self._gauge_design(effect))
@@ -183,10 +183,11 @@ class ResidualSpace:
 
     @cached_property
     def _centring_normals(self) -> list[tuple[Ints, Ints, Floats, Floats]]:
-        """Pointing indices (r,), occupation indices (r,), slopes and normal matrices, for each kind of centring errors.
+        """Indices (r,) of pointings and occupations, slopes and normal matrices, for each kind of centring errors.
 
-        The slopes (r, 3, 3) are the whitened changes of the readings per unit displacement of the reflector. The normal
-        matrices (k, 3, 3) of k occupations include the prior of the displacements.
+        An occupation is one placement of a reflector on a target. The slopes (r, 3, 3) are the whitened changes of the
+        readings per unit displacement of the reflector. The normal matrices (k, 3, 3) of k occupations include the
+        prior of the displacements.
         """
         entries = []
         for errors in self.adjustment.problem.model.centring_errors:
@@ -199,23 +200,30 @@ class ResidualSpace:
         return entries
 
     def with_design_columns(self, design_columns: Floats) -> ResidualSpace:
-        """Copy whose projector contains the q `design_columns` (m, q) of further unknowns too."""
+        """Residual space after the estimation of q further unknowns, which have the `design_columns` (m, q)."""
         basis = self._projected_basis(design_columns)
         residual = self.whitened_residuals - basis @ (basis.T @ self.whitened_residuals)
         return ResidualSpace(self.projector.with_removed_columns(basis), residual, self.adjustment)
 
     def with_effects(self, effects: Sequence[LinearEffect]) -> ResidualSpace:
-        """Copy whose projector contains the parameters of `effects` as further unknowns too."""
+        """Residual space after the estimation of the parameters of `effects` as further unknowns."""
         if not effects:
             return self
         return self.with_design_columns(np.hstack([self.whitened_design(effect) for effect in effects]))
 
     def target_shifts(self, design_columns: Floats) -> Floats:
         """Shifts (T, 3) [m] of T adjusted targets by a whitened change `design_columns` (m,) of the m equations."""
+        return self.point_shifts(design_columns)[: len(self.adjustment.recording.targets)]
+
+    def point_shifts(self, design_columns: Floats) -> Floats:
+        """Shifts (T + S, 3) [m] of T adjusted targets and S stations by a whitened change of the m equations.
+
+        `design_columns` (m,) is the change.
+        """
         adjustment = self.adjustment
         normal_side = (adjustment.solution.system.design.T @ design_columns)[:, None]
         change: Floats = adjustment.factorised_normals.multiply_by_covariance(normal_side)[:, 0][
-            adjustment.problem.unknowns.target_columns
+            point_columns(adjustment, with_stations=True)
         ]
         return change
 

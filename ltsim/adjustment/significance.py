@@ -51,13 +51,14 @@ MIN_DOF_FOR_ESTIMATED_NOISE = 15
 """Smallest number of degrees of freedom of an estimated sigma0 that may replace the declared noise; its relative
 standard deviation is then 1 / sqrt(2 * 15) = 18 %. """
 MIN_REPEATS_FOR_VARIANCE = 4
-"""Smallest number of pointings to a target, of occupations of a target, or of targets in a group, for a test that their
-noise differs from other noise. With two or three of them, a single outlier looks like larger noise.
+"""Smallest number of pointings to a target, of occupations of a target (placements of a reflector), or of targets in a
+group, for a test that their noise differs from other noise. With two or three of them, a single outlier looks like
+larger noise.
 """
 MIN_MEAN_REPEATS = 1.5
-"""Smallest mean number of pointings per occupation, or of occupations per target, for a test of random displacements of
-reflectors. Without repeated pointings a displacement is not distinguishable from noise; without repeated occupations it
-is part of the coordinates.
+"""Smallest mean number of pointings per occupation (placement of a reflector on a target), or of occupations per
+target, for a test of random displacements of reflectors. Without repeated pointings a displacement is not
+distinguishable from noise; without repeated occupations it is part of the coordinates.
 """
 MIN_EQUIVALENT_SQUARED_CORRELATION = 0.9
 """Squared correlation of the effects of two errors on the residuals, above which the errors are indistinguishable: one

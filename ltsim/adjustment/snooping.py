@@ -170,7 +170,7 @@ def pose_defect_sentence(problem: NetworkProblem, state: NetworkState) -> str:
 
 
 class ScreenedNetwork(NamedTuple):
-    """Start values of a network, and flags of pointings with gross errors and of unconnected targets."""
+    """Start values of a network, with flags that mark pointings with gross errors and unconnected targets."""
 
     recording: Recording
     """Recording without the readings to unconnected targets."""
@@ -198,7 +198,7 @@ def screen_gross_errors(recording: Recording) -> ScreenedNetwork:
     excess = _relative_misclosure(model, state)
     for _ in range(MAX_ITERATIONS if np.any(excess > 1.0) else 0):
         problem = drop_undetermined_targets(NetworkProblem.from_model(model), state)
-        state, length = _weighted_step(problem, state, model.linearise(state), np.maximum(excess, 1.0)[:, None])
+        state, length = _gauss_newton_step(problem, state, model.linearise(state), np.maximum(excess, 1.0)[:, None])
         before, excess = excess, _relative_misclosure(model, state)
         if not length or not np.any((excess > 1.0) & (excess < MAX_CONVERGENCE_RATIO * before)):
             break
@@ -223,7 +223,7 @@ def _relative_misclosure(model: MeasurementModel, state: NetworkState) -> Floats
     return miss / limit
 
 
-def _weighted_step(
+def _gauss_newton_step(
     problem: NetworkProblem, state: NetworkState, prediction: Prediction, sigma_factors: Floats
 ) -> tuple[NetworkState, float]:
     """State after one Gauss-Newton step, and squared length of the step in standard deviations; 0 if singular.

@@ -15,6 +15,7 @@ from ltsim.adjustment.fitting import (
     multilaterate,
 )
 from ltsim.adjustment.frame import DeclaredFrame, StationTargetPairs, points_with_slope_distances, upright_alignment
+from ltsim.adjustment.opposite_sights import with_ranges_of_opposite_sights
 from ltsim.adjustment.start_errors import require_connected_stations, require_located_target
 from ltsim.core.arrays import Bools, Floats, Ints, group_rows
 from ltsim.core.errors import NetworkError
@@ -24,8 +25,7 @@ from ltsim.geometry.rigid import VERTICAL, align_robustly, rotation_about_z, sma
 from ltsim.recordings.recording import Recording
 
 INITIALISATION_METHODS = ("frame", "cloud", "ranges", "positions", "bearings")
-"""Methods for the first coordinates of a network: known points, the points of one station, ranges alone, declared
-positions, horizontal directions."""
+"""Methods for first coordinates: known points, one station's points, ranges, declared positions, directions."""
 
 
 def initial_network(recording: Recording) -> tuple[tuple[Floats, Floats, Floats], Bools]:
@@ -34,22 +34,24 @@ def initial_network(recording: Recording) -> tuple[tuple[Floats, Floats, Floats]
     Levels and known points define the frame; without levels and known points, the first station defines it. The station
     that measured most targets with coordinates is joined next. If too few targets were measured with range and both
     angles, beams are intersected and stations resected. A network of ranges alone starts with a closed-form solution.
-    Unconnected targets get the mean position of the other targets and must be removed by the caller. Coordinates are in
-    metres.
+    Unconnected targets get the mean position of the others, to be removed by the caller. Coordinates are in metres.
 
     Raises NetworkError if a station is not connected to the others, or if there are elevations alone.
     """
     if not recording.is_measured[:, :2].any():
-        message = "the recording contains only elevations, which do not determine horizontal positions; "
-        raise NetworkError(message + "measure azimuths or distances too")
-    pairs = StationTargetPairs.from_recording(recording, points_with_slope_distances(recording))
+        message = "the recording contains only elevations, which do not determine horizontal positions"
+        raise NetworkError(f"{message}; measure azimuths or distances too")
     frame = DeclaredFrame.from_recording(recording)
-    grown = []
-    for beginning in INITIALISATION_METHODS if frame.has_declared_positions else INITIALISATION_METHODS[1:]:
-        grown.append(NetworkInitialiser(recording, pairs, frame))
-        grown[-1].run(beginning)
-        if grown[-1].is_complete:
+    grown: list[NetworkInitialiser] = []
+    for source in (recording, with_ranges_of_opposite_sights(recording, frame.marks)):
+        if grown and (source is recording or grown[-1].is_complete):
             break
+        pairs = StationTargetPairs.from_recording(source, points_with_slope_distances(source))
+        for method in INITIALISATION_METHODS if frame.has_declared_positions else INITIALISATION_METHODS[1:]:
+            grown.append(NetworkInitialiser(source, pairs, frame))
+            grown[-1].run(method)
+            if grown[-1].is_complete:
+                break
     return max(grown, key=lambda growth: growth.n_located_points).result(grown[-1].undetermined_lines_text)
 
 
@@ -98,8 +100,6 @@ class NetworkInitialiser:
     def n_located_points(self) -> int:
         """Number of stations and targets with coordinates."""
         return int(self._is_joined.sum() + self._has_coordinates.sum())
-
-    # --- present coordinates ---------------------------------------------------------------------------------------
 
     def _target_points(self) -> Floats:
         """Present positions (T, 3) [m] of T targets: medians over joined stations, else fitted or declared; or NaN."""
@@ -312,13 +312,13 @@ class NetworkInitialiser:
     # --- initialisation methods ------------------------------------------------------------------------------------
 
     def _begin_with_frame(self) -> None:
-        """First coordinates: declared coordinates of targets and marks."""
+        """Assignment of the first coordinates of a network: declared coordinates of targets and marks."""
         self._located_targets = self._frame.declared_points.copy()
         self._positions = self._frame.declared_station_positions.copy()
         self._is_in_frame = self._is_levelled = self._frame.has_declared_positions
 
     def _begin_with_cloud(self) -> None:
-        """First coordinates: one station and the targets that it measured with range and both angles."""
+        """Assignment of the first coordinates of a network: one station and the targets that it measured completely."""
         counts = np.diff(self._pairs.first_pair_of_station)
         if not counts.any():
             return
@@ -330,7 +330,7 @@ class NetworkInitialiser:
         self._join_station(first_station, np.zeros(3), rotation)
 
     def _begin_with_ranges(self) -> None:
-        """First coordinates: targets of a network of ranges between stations and common targets."""
+        """Assignment of the first coordinates of a network of ranges between stations and common targets."""
         ranges = np.full((len(self._is_joined), len(self._located_targets)), np.nan)
         ranges[self._recording.station, self._recording.target] = self._front_readings[:, 0]
         stations = np.flatnonzero(np.isfinite(ranges).sum(axis=1) >= 3)
@@ -341,7 +341,7 @@ class NetworkInitialiser:
             self._located_targets[targets], self._is_from_plan = placed
 
     def _begin_with_positions(self) -> None:
-        """First coordinates: all declared positions, known or approximate, and rotations from mean azimuths."""
+        """Assignment of first coordinates to a network: all declared positions, and rotations from mean azimuths."""
         self._begin_with_frame()
         self._located_targets, marks = self._frame.approximate_points.copy(), self._frame.marks
         on_marks = self._located_targets[marks.target_indices] + marks.instrument_offsets
@@ -354,7 +354,7 @@ class NetworkInitialiser:
             self._join_station(station, declared[station], rotation_about_z(float(np.angle(np.nansum(turns)))))
 
     def _begin_with_bearings(self) -> None:
-        """First coordinates: horizontal ones from directions of upright stations and horizontal lengths."""
+        """Assignment of first horizontal coordinates, from directions of upright stations and horizontal lengths."""
         recording, frame, marks = self._recording, self._frame, self._frame.marks
         bearing_rows = np.flatnonzero(frame.is_levelled[recording.station] & np.isfinite(self._front_readings[:, 1]))
         if not len(bearing_rows) or np.isfinite(self._front_readings[:, 2]).any():

@@ -37,7 +37,7 @@ class UniformMotion(StationMotionEffect):
     covariates = ("time",)
     """Covariates on which the effect depends."""
     scope = "station"
-    """Kind of object that moves."""
+    """Kind of object that the effect concerns: a station, which moves."""
     parameters = StationBump.parameters
     """Components of the translation and rotation at the end of the occupation, with the names of `StationBump`."""
 

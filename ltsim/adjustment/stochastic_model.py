@@ -246,15 +246,15 @@ def estimate_variance_components(
 def converged_variance_components(problem: NetworkProblem, state: NetworkState) -> tuple[VarianceComponent, ...]:
     """Noise of each observable, estimated with weights that agree with this noise; empty without redundancy.
 
-    A noise that is declared with these factors is confirmed by the next adjustment. One step from the declared noise is
-    not sufficient, because wrong weights distribute the misfit among the observables in a wrong way. The readings in
+    If the user declares the noise with these factors, the next adjustment confirms it. One step from the declared noise
+    is not sufficient, because wrong weights distribute the misfit among the observables in a wrong way. The readings in
     use do not change.
     """
 
     def solve_with_same_readings(
         scaled_problem: NetworkProblem, start_state: NetworkState
     ) -> tuple[NetworkProblem, Solution[NetworkState]]:
-        """The problem with scaled standard deviations, and its solution, without a search for outliers."""
+        """Unchanged problem with scaled standard deviations, and its solution, without a search for outliers."""
         return scaled_problem, solve(scaled_problem, start_state)
 
     return estimate_variance_components(problem, solve(problem, state), "observable", solve_with_same_readings)[2]

@@ -133,8 +133,8 @@ def _verdict_from_tests(adjustment: Adjustment, alpha: float, fit_with_constants
     conclusion = f"Trust the global test, which fails, and the estimated sigma0: {phrase}."
     if fit_with_constants is not None and fit_with_constants[1] > 0:
         conclusion = (
-            f"This adjustment, which does not estimate the instrument constants, fails the global test: {phrase}. Its "
-            "standard deviations are multiplied by this sigma0."
+            f"This adjustment, which does not estimate the instrument constants, fails the global test: {phrase}. The "
+            "standard deviations of the adjustment are multiplied by sigma0."
         )
     sentence = f"{reasons} {conclusion} {flagged_sentence}{_noisy_targets_sentence(adjustment)}"
     return Verdict(VerdictCase.UNEXPLAINED_MISFIT, sentence, True)
@@ -214,7 +214,7 @@ def noise_declaration_advice(adjustment: Adjustment, alpha: float = GLOBAL_TEST_
 
 
 def _noisy_targets_sentence(adjustment: Adjustment) -> str:
-    """Sentence, after a space, on noisy targets, whose readings scatter far more than others; or an empty text."""
+    """Sentence, after a space, on noisy targets (with readings that scatter far more than others); or an empty text."""
     named, scatter, rest = adjustment.noisy_targets_and_scatter
     if not len(named):
         return ""

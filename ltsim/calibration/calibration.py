@@ -148,7 +148,7 @@ class Calibration(UncertaintyEntry, ResultFile):
 
     @classmethod
     def from_arrays(cls, arrays: CalibrationArrays, **fields: Any) -> Self:
-        """Calibration with the given arrays; `fields` are the values of the other fields by their names."""
+        """Calibration result with the given arrays; `fields` are the values of its other fields by their names."""
         factors = np.tile([p.si_per_display_unit for p in arrays.construction.parameters], len(arrays.instruments))
         defaults = {name: entry.get_default(call_default_factory=True) for name, entry in cls.model_fields.items()}
         fields = {name: value for name, value in defaults.items() if name not in FIELDS_NOT_COPIED} | fields

@@ -113,7 +113,7 @@ def calibrate_distance(
     return Calibration.from_arrays(
         arrays,
         method=method,
-        fit=_fit_entry(propagation),
+        fit=_network_fit_entry(propagation),
         undetermined=_undetermined_entries(adjustment, model, estimate, recommend_measurements=advise),
         frame=result.frame_text(adjustment),
         stations=result.station_poses(adjustment, pose),
@@ -127,7 +127,7 @@ def calibrate_distance(
     )
 
 
-def _fit_entry(propagation: DistanceErrorPropagation) -> FitEntry:
+def _network_fit_entry(propagation: DistanceErrorPropagation) -> FitEntry:
     """Fit statistics of the network adjusted with the parameters; `dof` is the expected chi-square, rounded."""
     chi2, estimate = propagation.adjustment.chi2, propagation.distance_estimate
     mean, variance = propagation.chi2_moments()
@@ -155,7 +155,7 @@ def _undetermined_entries(
     *,
     recommend_measurements: bool,
 ) -> tuple[UndeterminedEntry, ...]:
-    """Entries of the combinations of parameters that the distances do not determine.
+    """Result entries of the combinations of parameters that the measured distances do not determine.
 
     With `recommend_measurements` the entries name the measurement that would determine the combination.
     """
@@ -246,15 +246,15 @@ class DistanceErrorPropagation:
         cross_covariance = (self._unknowns_per_observation @ self._noise_parameter_cross_covariance) @ through.T
         return through @ self.distance_estimate.covariance @ through.T - cross_covariance - cross_covariance.T
 
-    def _residual_part(self, observation_vectors: Floats) -> Floats:
+    def _projection_onto_residuals(self, observation_vectors: Floats) -> Floats:
         """Part of the observation vectors (one per column) that remains in the residuals of the adjustment."""
         return observation_vectors - self._whitened_design @ (self._unknowns_per_observation @ observation_vectors)
 
     def chi2_moments(self) -> tuple[float, float]:
         """Expected value and variance of the adjustment's chi-square, if the model and the declared noise are right."""
         systematic, noise = (
-            self._residual_part(self._parameter_design),
-            self._residual_part(self._noise_parameter_cross_covariance),
+            self._projection_onto_residuals(self._parameter_design),
+            self._projection_onto_residuals(self._noise_parameter_cross_covariance),
         )
         stacked = np.concatenate([systematic, noise], axis=1)
         identity = np.eye(systematic.shape[1])

@@ -149,7 +149,7 @@ def solve_determined_combinations(
         )
         unknowns = unknowns + step
         moved = float(np.max(np.abs(step), initial=0.0))
-    return _make_estimate(
+    return _solution_estimate(
         deviation_rows, norm, (unknowns, estimated, undetermined), iterations, moved < SQRT_MACHINE_EPSILON
     )
 
@@ -187,7 +187,7 @@ def solve_all_combinations(
         moved = min(float(np.max(np.abs(step))), fallen)
     visible, invisible = _split_observable_combinations(rows, free)
     combinations = tuple(ParameterCombination(vector, 0.0) for vector in invisible.T)
-    return _make_estimate(rows, norm, (unknowns, visible, combinations), iterations, moved < SQRT_MACHINE_EPSILON)
+    return _solution_estimate(rows, norm, (unknowns, visible, combinations), iterations, moved < SQRT_MACHINE_EPSILON)
 
 
 def _start_values(
@@ -207,14 +207,14 @@ def _require_distance_comparisons(comparisons: DistanceComparisons, is_free_unkn
         )
 
 
-def _make_estimate(
+def _solution_estimate(
     comparisons: DistanceComparisons,
     norm: ObjectiveNorm,
     solution: tuple[Floats, Floats, tuple[ParameterCombination, ...]],
     n_iterations: int,
     is_converged: bool,
 ) -> DistanceEstimate:
-    """Estimate with its covariance from the solution of an iteration.
+    """Parameters estimated from distances, with their covariance, from the solution of an iteration.
 
     `solution` contains the unknowns, the estimated combinations (unknowns, combinations), and the combinations fixed at
     zero.

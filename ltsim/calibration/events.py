@@ -149,7 +149,7 @@ def _step_p_value(
 
 
 def _variance_by_moments(difference: Floats, sigma: Floats, relative_variances: Floats) -> float:
-    """Variance of usual steps for which their expected chi-square equals their number; at least 0.
+    """Variance of the usual changes of a parameter between calibrations, by the method of moments; at least 0.
 
     The steps have the sizes `difference` and the standard deviations `sigma`. The variance of each is multiplied by its
     element of `relative_variances`. All arrays have the shape (steps,).

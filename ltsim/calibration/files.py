@@ -1,28 +1,44 @@
 """Files of a calibration: `calibration.json` and its tables, written completely or not at all."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
-from ltsim.adjustment.coordinate_uncertainty import COVARIANCE_FILE_NAME
+import numpy as np
+
+from ltsim.adjustment.coordinate_uncertainty import (
+    COVARIANCE_FILE_NAME,
+    MAX_POINTS_IN_COVARIANCE_FILE,
+    POINTS_COVARIANCE_FILE_NAME,
+    named_covariance_csv_text,
+    point_names,
+)
 from ltsim.calibration.arrays import arrays_from_file_rows
 from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.reported_uncertainty import target_covariance_csv_text
-from ltsim.calibration.schema import RESIDUALS_TABLE, TARGETS_TABLE
+from ltsim.calibration.reported_uncertainty import point_covariance
+from ltsim.calibration.schema import COORDINATE_COLUMNS, RESIDUALS_TABLE, TARGETS_TABLE
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import RecordError, unknown_name_error
+from ltsim.core.errors import ModelError, RecordError, unknown_name_error
 from ltsim.core.notation import names_text
+from ltsim.core.results import Table
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.recordings.files import read_text, safe_excerpt
 from ltsim.recordings.result_file import read_result, write_result
 
+POINTS_TABLE = Table(
+    "points.csv", "adjusted targets and stations; undetermined ones have no row or no height", COORDINATE_COLUMNS
+)
+POINT_FILE_NAMES = (POINTS_TABLE.file, POINTS_COVARIANCE_FILE_NAME)
+"""Names of the files with targets and stations and with their joint covariance."""
 CalibrationSource = Calibration | str | Path
 """Calibration, or path of its file or of the folder with this file."""
 
 
-def write_calibration(calibration: Calibration, folder: Path) -> Calibration:
-    """Writing of a calibration and its tables to a folder; returns the calibration with hashes of the files.
+def write_calibration(calibration: Calibration, folder: Path, *, with_stations: bool = False) -> Calibration:
+    """Writing of a calibration and its tables to a folder; returns the calibration with hashes of these files.
 
-    The files are `calibration.json`, `targets.csv`, and for a network the residuals and the covariance.
+    The files are `calibration.json`, `targets.csv`, and for a network the residuals and the covariance. With
+    `with_stations`, `points.csv` and `points.covariance.csv` contain the targets and the stations of the network.
 
     Raises
     ------
@@ -32,9 +48,43 @@ def write_calibration(calibration: Calibration, folder: Path) -> Calibration:
     texts = {TARGETS_TABLE.file: calibration.table("targets").csv_text()}
     if calibration.adjustment is not None:
         texts[RESIDUALS_TABLE.file] = calibration.table("residuals").csv_text()
-        covariance = target_covariance_csv_text(calibration)
-        texts |= {} if covariance is None else {COVARIANCE_FILE_NAME: covariance}
+        covariance = point_covariance(calibration)
+        if covariance is not None:
+            texts[COVARIANCE_FILE_NAME] = named_covariance_csv_text(calibration.target_names, covariance)
+    if with_stations:
+        texts |= _point_file_texts(calibration)
     return write_result(folder, calibration, texts)
+
+
+def _point_file_texts(calibration: Calibration) -> dict[str, str]:
+    """Contents of the files with targets and stations and with their joint covariance, by name of the file.
+
+    Raises ModelError for a calibration without network, and for too many points.
+    """
+    covariance = point_covariance(calibration, with_stations=True)
+    if calibration.adjustment is None or covariance is None:
+        raise ModelError(
+            "the joint covariance of targets and stations is for the adjustment of a network with at most "
+            f"{MAX_POINTS_IN_COVARIANCE_FILE} points"
+        )
+    state = calibration.adjustment.state
+    points = np.concatenate([calibration.target_points, state.station_positions])
+    return point_file_texts(point_names(calibration.adjustment, with_stations=True), points, covariance)
+
+
+def point_file_texts(names: Sequence[str], points: Floats, covariance: Floats) -> dict[str, str]:
+    """Contents of `points.csv` and `points.covariance.csv` of P points, by name of the file.
+
+    `points` (P, 3) [m] are the coordinates, and `covariance` (3 P, 3 P) [m^2] their joint covariance, with NaN for an
+    undetermined coordinate. A point without a determined coordinate has no row.
+    """
+    sigmas = np.sqrt(np.diag(covariance)).reshape(-1, 3)
+    numbers = np.concatenate([np.where(np.isfinite(sigmas), points, np.nan), sigmas], axis=1) / MILLIMETRE
+    rows = [[name, *row] for name, row in zip(names, numbers.tolist(), strict=True) if np.isfinite(row).any()]
+    return {
+        POINTS_TABLE.file: POINTS_TABLE.with_rows(rows).csv_text(),
+        POINTS_COVARIANCE_FILE_NAME: named_covariance_csv_text(names, covariance),
+    }
 
 
 def read_targets(file: Path) -> tuple[tuple[str, ...], Floats, Floats]:

@@ -144,7 +144,7 @@ def calibrate_network(
         criteria = result.criteria_entry(adjustment.recording, adjustment, model, applied_values)
         new_fields |= {"correction": worth, "applied_values": applied_values, "criteria": criteria}
     calibration = calibration.with_changes(**new_fields)
-    sentence = f"the readings scatter {quiet_by} times as much as declared: the noise was estimated instead"
+    sentence = f"the readings scatter {quiet_by} times as much as declared: the estimated noise replaces it"
     notes = [*calibration.notes, *([sentence] if quiet_by else []), *prior_conflict_sentences(calibration)]
     return calibration.with_changes(notes=tuple(notes))
 

@@ -9,12 +9,11 @@ from scipy.linalg import block_diag
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.coordinate_uncertainty import (
-    MAX_TARGETS_IN_COVARIANCE_FILE,
-    coordinate_covariance_csv_text,
+    MAX_POINTS_IN_COVARIANCE_FILE,
     covariance_due_to_air,
-    joint_covariance_due_to_air,
     longest_range,
     relevant_air_uncertainty,
+    reported_joint_covariance,
     rms_displacements_by_shared_air_error,
 )
 from ltsim.calibration.calibration import Calibration
@@ -80,17 +79,17 @@ def with_reported_uncertainty(calibration: Calibration) -> Calibration:
     )
 
 
-def target_covariance_csv_text(calibration: Calibration) -> str | None:
-    """Text of `targets.covariance.csv`, the joint covariance of the targets.
+def point_covariance(calibration: Calibration, *, with_stations: bool = False) -> Floats | None:
+    """Joint covariance (3 P, 3 P) [m^2] of P points: all targets and, if requested, the positions of all stations.
 
-    The result is None for a calibration without network, and for too many targets.
+    The result is None for a calibration without network, and for too many points.
     """
     adjustment = calibration.adjustment
-    if adjustment is None or len(calibration.target_names) > MAX_TARGETS_IN_COVARIANCE_FILE:
+    n_stations = len(calibration.stations) if with_stations else 0
+    if adjustment is None or len(calibration.target_names) + n_stations > MAX_POINTS_IN_COVARIANCE_FILE:
         return None
-    added = joint_covariance_due_to_air(adjustment)
-    return coordinate_covariance_csv_text(
-        adjustment, sigma_factor=calibration.uncertainty_factor, added_covariance=added
+    return reported_joint_covariance(
+        adjustment, sigma_factor=calibration.uncertainty_factor, with_stations=with_stations
     )
 
 

@@ -46,7 +46,7 @@ HEIGHT_MASK = np.array([False, False, True])
 
 
 def fit_entry(adjustment: Adjustment) -> FitEntry:
-    """Fit statistics of an adjustment, with the status of its convergence."""
+    """Result entry with the fit statistics of an adjustment and the status of its convergence."""
     redundant = adjustment.dof > 0
     status = adjustment.solution.status
     return FitEntry(
@@ -151,7 +151,7 @@ def fit_verdict(adjustment: Adjustment, fit: FitEntry | None = None) -> Verdict:
 
 
 def noise_rows(adjustment: Adjustment) -> tuple[NoiseRow, ...]:
-    """Entries of the noise estimated from the readings, one per group of readings."""
+    """Result rows of the noise that was estimated from the readings, one row per group of readings."""
     problem, recording = adjustment.problem, adjustment.recording
     noise_entries = []
     for c in adjustment.variance_components:

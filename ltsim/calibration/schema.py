@@ -249,7 +249,7 @@ class VerdictEntry(Entry):
 
     @classmethod
     def from_verdict(cls, verdict: Verdict) -> Self:
-        """Entry of the result file for a verdict."""
+        """Entry of the result file for the verdict on an adjustment."""
         return cls(case=verdict.case.value, sentence=verdict.sentence, is_sigma0_credible=verdict.uses_estimated_noise)
 
 

@@ -162,9 +162,8 @@ class ScaledPrior:
     @property
     def plausible_scale_limits(self) -> tuple[float, float]:
         """Smallest and largest plausible scale of the prior (factor on the declared standard deviations)."""
-        near_indices = np.flatnonzero(
-            self._log_likelihoods > self._log_likelihoods[self._best_index] - MAX_PLAUSIBLE_LOG_LIKELIHOOD_RATIO
-        )
+        min_log_likelihood = self._log_likelihoods[self._best_index] - MAX_PLAUSIBLE_LOG_LIKELIHOOD_RATIO
+        near_indices = np.flatnonzero(self._log_likelihoods > min_log_likelihood)
         return float(self._scales[near_indices[0]]), float(self._scales[near_indices[-1]])
 
     @property
@@ -199,17 +198,20 @@ class ScaledPrior:
         low, high = self.plausible_scale_limits
         factor, limits = f"{self.most_likely_scale:.2g} times", f"({low:.2g} to {high:.2g})"
         if self._exceeds_plausible_scale:
-            contradict = f" and contradict each other by {self._sigma0:.2g} times their noise"
-            why, cause = ", which no instrument has", "another cause must explain the misfit"
-            if self.most_likely_scale <= MAX_PRIOR_SCALE:
-                why, cause = contradict, "the noise is larger than declared, or a systematic effect acts"
-            need = f"the readings require parameters {factor} as large as the declared prior"
-            return f"{need}{why}; no correction is applied, because {cause}"
+            why = f" and contradict each other by {self._sigma0:.2g} times their noise"
+            cause = "the noise is larger than declared, or a systematic effect acts"
+            if self.most_likely_scale > MAX_PRIOR_SCALE:
+                why, cause = ", which no instrument has", "another cause must explain the misfit"
+            why = f"the readings require parameters {factor} as large as the declared prior{why}"
+            return f"{why}; no correction is applied, because {cause}"
         if not self._is_scale_estimated:
-            return f"the readings contradict the declared priors; the correction uses sigmas {factor} as large {limits}"
-        share = self._strength / (self._strength + self.most_likely_scale**-2)
-        phrase = f"more than half of the estimate is applied in {int(np.sum(share > 0.5))} of {len(share)} combinations"
-        return f"without a prior, {factor} the usual prior sigmas are most likely {limits}; {phrase}"
+            if low <= self._scales[0]:
+                return f"no error of the instrument is significant: its prior sigma is at most {high:.2g} times as big"
+            size = f"{'larger' if self.most_likely_scale > 1.0 else 'smaller'} than their prior sigmas"
+            return f"the errors of the instrument are {size}: prior sigmas {factor} as large are most likely {limits}"
+        counts = f"{int(np.sum(self._strength > self.most_likely_scale**-2))} of {len(self._strength)} combinations"
+        usual = f"without a prior, {factor} the usual prior sigmas are most likely {limits}"
+        return f"{usual}; more than half of the estimate is applied in {counts}"
 
     def estimate_at_scale(self, prior_scale: float) -> Floats:
         """Estimate (parameters,) in prior sigmas for a prior whose sigmas are `prior_scale` times the declared ones."""
@@ -223,10 +225,8 @@ class ScaledPrior:
         """
         if self._exceeds_plausible_scale:
             return np.zeros(len(self._information_vector)), ""
-        full, cautious = (
-            prior_mean + self.estimate_at_scale(self.scale_of_applied_values),
-            prior_mean + self.estimate_at_scale(self.plausible_scale_limits[0]),
-        )
+        full = prior_mean + self.estimate_at_scale(self.scale_of_applied_values)
+        cautious = prior_mean + self.estimate_at_scale(self.plausible_scale_limits[0])
         if full @ point_error_matrix @ (full - 2.0 * cautious) <= 0.0:
             return full, ""
         share = float(np.sqrt((cautious @ point_error_matrix @ cautious) / (full @ point_error_matrix @ full)))

@@ -55,7 +55,8 @@ def uncertainty_sentences(result: ReportedUncertainty) -> list[str]:
         model = "the model" if result.constants_included else "the model without instrument constants"
         sentences.append(
             f"The readings contradict {model}: all standard deviations are multiplied by sigma0 = "
-            f"{number_text(result.uncertainty_factor, 3)}. If a single cause acts, coordinates may have larger errors."
+            f"{number_text(result.uncertainty_factor, 3)}. If a single cause produces the contradiction, "
+            "coordinates may have larger errors."
         )
     if not result.constants_included:
         sentences.append(

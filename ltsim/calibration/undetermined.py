@@ -20,7 +20,7 @@ def undetermined_entries(
     recommend_measurements: bool,
     suspect_targets: Sequence[str] = (),
 ) -> tuple[UndeterminedEntry, ...]:
-    """Entries of the undetermined combinations of all instruments.
+    """Result entries of the combinations of parameters that a recording does not determine, for all instruments.
 
     With `recommend_measurements` the entries name measurements that would determine the combinations. Targets in
     `suspect_targets`, which may have moved, are not used as ends of a proposed length.

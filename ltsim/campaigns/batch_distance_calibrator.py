@@ -25,7 +25,7 @@ from ltsim.calibration.distance_solver import (
     solve_determined_combinations,
 )
 from ltsim.calibration.objective import DistanceProblem, PairDistances
-from ltsim.campaigns.batch_fit import BatchFit
+from ltsim.campaigns.batch_network import BatchFit
 from ltsim.campaigns.cloud_kernels import add_weighted_points, distance_gradient
 from ltsim.campaigns.kernels import backpropagate_mean_gradients, compute_points
 from ltsim.campaigns.kinematic_chain import ChainArrays

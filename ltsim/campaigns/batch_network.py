@@ -12,24 +12,64 @@ tracker's readings converts this difference to readings, with an error of 1e-5 s
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
 
-from ltsim.campaigns.batch_fit import MAX_DISTANCE_TO_OPTIMUM, BatchFit, multiply_by_trial
 from ltsim.campaigns.kernels import network_gradient
 from ltsim.campaigns.nominal_network import NominalNetwork
-from ltsim.core.arrays import Floats, Ints
+from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.physics.model.incidence import IncidenceErrors
 from ltsim.solve.design import to_dense
 
+MAX_DISTANCE_TO_OPTIMUM = 5e-5
+"""Largest distance to the optimum at which a trial counts as converged. The distance is the norm of the remaining step,
+with each unknown divided by its standard deviation. A trial with a larger distance is calibrated again by
+`lt.calibrate`."""
 MAX_NETWORK_FIT_STEPS = 8
 """Largest number of Gauss-Newton steps in the network adjustment of a trial."""
 MIN_ASSUMED_CONVERGENCE_RATE = 1e-3
 """Smallest assumed convergence rate, that is, ratio of the distances to the optimum after and before a step. A larger
 rate is estimated from the last two steps."""
+
+
+@dataclass(frozen=True)
+class BatchFit:
+    """Adjusted networks of a batch of trials; the last axis of each array is the trial."""
+
+    target_increments: Floats
+    """Adjusted minus nominal coordinates of the targets, (targets, 3, trials) [m]."""
+    instrument_values: Floats
+    """Estimated instrument parameters, (instruments, parameters, trials) [SI]."""
+    effect_values: Floats
+    """Estimated parameters of the effects in addition to the instrument parameters, (effect parameters, trials) [SI].
+    """
+    incidence_parameters: Mapping[str, Floats]
+    """Estimated parameters (14, trials) [SI] of the effect `smr-incidence` (range error by incidence angle), by name of
+    the reflector."""
+    chi2: Floats
+    """Chi-square of the adjustment of each trial, (trials,)."""
+    distance_to_optimum: Floats
+    """Estimated distance to the optimum after the last step, (trials,). It is the norm of the remaining step, with each
+    unknown divided by its standard deviation."""
+
+    @property
+    def has_converged(self) -> Bools:
+        """Mask (trials,) of the converged trials; a distance of NaN counts as not converged."""
+        return self.distance_to_optimum < MAX_DISTANCE_TO_OPTIMUM
+
+
+def multiply_by_trial(matrix: Floats, columns: Floats) -> Floats:
+    """Product (rows, trials) of `matrix` with the column of each trial in `columns` (terms, trials).
+
+    All trials share a matrix (rows, terms); a matrix of shape (trials, rows, terms) differs between trials.
+    """
+    if matrix.ndim == 2:
+        return matrix @ columns
+    return np.matmul(matrix, columns.T[:, :, None])[:, :, 0].T
 
 
 @dataclass(frozen=True)
@@ -73,7 +113,7 @@ class BatchNetwork(NominalNetwork):
         """
         if self._bench_tested_reflector_change is not None:
             reading_deviations = reading_deviations - self._bench_tested_reflector_change
-        x, predicted = self._first_step(reading_deviations, length_errors)
+        x, predicted = self._first_newton_step(reading_deviations, length_errors)
         last_costs = np.full(x.shape[1], np.inf)
         gradient, cost = np.empty_like(x), np.empty(x.shape[1])
         for _ in range(2, MAX_NETWORK_FIT_STEPS + 1):
@@ -111,7 +151,7 @@ class BatchNetwork(NominalNetwork):
 
     @cached_property
     def _first_step_matrices(self) -> tuple[Floats, Floats, Floats]:
-        """Matrices of the first step from the nominal unknowns, and matrix of the readings predicted after this step.
+        """Matrices of the first Newton step of an adjustment, and matrix of the readings predicted after this step.
 
         The step is the first matrix times the reading deviations, plus the second times the residuals of all other
         observations. The third matrix, (readings, unknowns), does not contain effects, because their changes are
@@ -128,7 +168,7 @@ class BatchNetwork(NominalNetwork):
         by_reading = self.covariance @ (design / self.reading_sigmas.reshape(-1, 1)).T
         return by_reading, self.covariance @ self._non_reading_design[0].T, predicting
 
-    def _first_step(self, reading_deviations: Floats, length_errors: Floats | None) -> tuple[Floats, Floats]:
+    def _first_newton_step(self, reading_deviations: Floats, length_errors: Floats | None) -> tuple[Floats, Floats]:
         """First step (unknowns, trials), and predicted minus nominal readings (pointings, 3, trials) after it.
 
         `reading_deviations` are readings minus nominal readings, `length_errors` (lengths, trials) [m] declared minus

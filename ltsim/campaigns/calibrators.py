@@ -356,7 +356,7 @@ class StackedNetwork(BatchNetwork):
         designs, nominal = zip(*(part._non_reading_design for part in self.trial_networks), strict=True)
         return np.stack(designs), np.concatenate(nominal, axis=1)
 
-    def _first_step(self, reading_deviations: Floats, length_errors: Floats | None) -> tuple[Floats, Floats]:
+    def _first_newton_step(self, reading_deviations: Floats, length_errors: Floats | None) -> tuple[Floats, Floats]:
         """First step (unknowns, trials), and predicted minus nominal readings (pointings, 3, trials) after it.
 
         `reading_deviations` are readings minus nominal readings, `length_errors` (lengths, trials) [m] declared minus

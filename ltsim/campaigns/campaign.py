@@ -21,19 +21,16 @@ import llvmlite.binding
 from joblib import Parallel, delayed, parallel_config
 
 from ltsim.campaigns.calibrators import estimated_effects, estimated_error_model
-from ltsim.campaigns.cell_scenarios import shared_json_values
-from ltsim.campaigns.design import Factor, cell_label
+from ltsim.campaigns.design import Factor, cad_files, cell_label, read_cad_bytes, shared_json_values
 from ltsim.campaigns.schema import ManifestFile, ScenarioSettings, number_of_shards
 from ltsim.campaigns.shard_rows import ShardTask, load_cell_context, n_rows_of_shard, run_shard_task
 from ltsim.campaigns.spec import (
     VALIDATION_STREAM_KEY,
     CampaignCell,
     CampaignFile,
-    cad_files,
     load_campaign,
     make_campaign_cells,
     path_relative_to_campaign_file,
-    read_cad_bytes,
 )
 from ltsim.campaigns.statistics import CampaignStatistics
 from ltsim.campaigns.stopping import CellAndShardIndex, iterate_stopping_rounds
@@ -121,8 +118,8 @@ def run_campaign(
         check_writable(folder, is_folder=True)
     campaign, scenarios = loaded or load_campaign(file, changes, tables)
     factors, cells = make_campaign_cells(campaign, scenarios, file)
-    notes, store = _configuration_notes(campaign, factors, cells, file), CampaignFolder(folder)
-    sources = _input_files(campaign, cells, file, copies_file=not changes and tables is None)
+    notes, store = _ineffective_effect_notes(campaign, factors, cells, file), CampaignFolder(folder)
+    sources = _input_file_contents(campaign, cells, file, copies_file=not changes and tables is None)
     taken = [] if store.has_campaign or force else store.conflicting_files(sources)
     if taken:
         raise InputError(
@@ -164,7 +161,7 @@ def run_campaign(
     return CampaignRunResult(folder, done, existing, tuple(notes))
 
 
-def _input_files(
+def _input_file_contents(
     campaign: CampaignFile, cells: Sequence[CampaignCell], file: Path, *, copies_file: bool
 ) -> dict[str, bytes]:
     """Contents of the input files to be stored with the rows, by name: scenarios, points, CAD files, campaign file.
@@ -185,7 +182,7 @@ def _input_files(
     return contents | {CAMPAIGN_FILE_NAME: read_whole_file(file) if copies_file else to_toml(settings).encode()}
 
 
-def _configuration_notes(
+def _ineffective_effect_notes(
     campaign: CampaignFile, factors: Sequence[Factor], cells: Sequence[CampaignCell], file: Path
 ) -> list[str]:
     """Notes on declared effects that change no reading; raises InputError if every trial would fail."""
@@ -306,6 +303,7 @@ def git_commit_of_checkout() -> str | None:
 
 
 def _make_manifest(campaign: CampaignFile, factors: Sequence[Factor], cells: Sequence[CampaignCell]) -> ManifestFile:
+    scenarios = (cell.scenario.model_dump(mode="json", by_alias=True) for cell in cells)
     return ManifestFile(
         title=campaign.title,
         seed=campaign.seed,
@@ -318,7 +316,7 @@ def _make_manifest(campaign: CampaignFile, factors: Sequence[Factor], cells: Seq
         processor=processor_type(),
         commit=git_commit_of_checkout(),
         settings=campaign.model_dump(mode="json", by_alias=True),
-        scenarios=tuple(map(ScenarioSettings.model_validate, shared_json_values(cell.scenario for cell in cells))),
+        scenarios=tuple(map(ScenarioSettings.model_validate, shared_json_values(scenarios))),
     )
 
 

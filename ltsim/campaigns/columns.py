@@ -1,6 +1,6 @@
 """Columns of a campaign's rows: first the levels of the factors, then the results, each with its unit."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -142,6 +142,10 @@ def method_table(cell: int, method: str, column_groups: list[ResultColumns]) -> 
     return pa.table(columns)
 
 
-def columns_from_rows(table_rows: Sequence[Mapping[str, Any]]) -> ColumnValues:
-    """Values by column name, from rows that are mappings of column names to values."""
-    return {key: [row[key] for row in table_rows] for key in (table_rows[0] if table_rows else ())}
+def columns_from_rows(table_rows: Iterable[Mapping[str, Any]]) -> ColumnValues:
+    """Values by column name, from rows that are mappings of the same column names to values."""
+    columns: dict[str, list[Any]] = {}
+    for row in table_rows:
+        for name, value in row.items():
+            columns.setdefault(name, []).append(value)
+    return columns

@@ -148,5 +148,5 @@ def _validated_estimates(raw_estimates: object) -> dict[str, ParameterEstimate]:
     if lost is not None:
         raise RecordError(f"'{safe_excerpt(lost)}' is not a unit, expected one of {permitted_units_text()}")
     if not estimates:
-        raise RecordError("it contains no parameter, expected at least one")
+        raise RecordError("the result contains no parameter, expected at least one")
     return estimates

@@ -47,7 +47,7 @@ class SharedDerivatives:
     """Derivative of the nominal readings with respect to the instrument parameters, (pointings, 3, parameters)."""
 
 
-class _Factorisation(NamedTuple):
+class _NormalMatrixFactorisation(NamedTuple):
     """Factorised normal matrix of a nominal network, and design matrices with columns in the order of unknowns."""
 
     cholesky_factor: Floats
@@ -151,7 +151,7 @@ class NominalNetwork:
         return self._factorisation.non_reading_design, self._factorisation.non_reading_residuals
 
     @cached_property
-    def _factorisation(self) -> _Factorisation:
+    def _factorisation(self) -> _NormalMatrixFactorisation:
         """Factorised normal matrix and designs, computed together so that a dense design matrix is not kept in memory.
 
         InputError is raised for undetermined unknowns.
@@ -172,7 +172,7 @@ class NominalNetwork:
         n_readings = int(self.problem.is_used_reading.sum())
         other_design = to_dense(design[n_readings:])[:, self.column_order]
         sparse_design = None if isinstance(design, np.ndarray) else design
-        return _Factorisation(roots[0], scale, other_design, residual[n_readings:, None], sparse_design)
+        return _NormalMatrixFactorisation(roots[0], scale, other_design, residual[n_readings:, None], sparse_design)
 
     def _whitened_design_and_residuals(self) -> tuple[DesignMatrix, Floats]:
         """Whitened design (rows, unknowns) of all observations of `problem`, and their nominal residuals (rows,).

@@ -146,7 +146,7 @@ class Recovery(ResultFile):
         }
 
     def failed_checks(self) -> list[RecoveryCheck]:
-        """Checks whose number is outside its limits."""
+        """Recovery checks that failed: their statistic is outside its limits."""
         return [check for check in self.checks if not check.passed]
 
     def unestimated_parameter_sentences(self) -> list[str]:

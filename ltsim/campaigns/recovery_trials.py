@@ -293,7 +293,7 @@ class RecoveryTrials(ValueEquality):
         }
 
     def checks(self) -> list[RecoveryCheck]:
-        """All checks of the run. A correct model fails at least one of them in one run of a hundred."""
+        """All checks of a recovery run. A correct model fails at least one of them in one run of a hundred."""
         n_lost = len(self.trial_scores) - len(self.available_trial_scores)
         checks = [RecoveryCheck.from_value(CONVERGENCE_CHECK_NAME, "trials without a result", n_lost, 0, 0)]
         if len(self.available_trial_scores) < MIN_RECOVERY_TRIALS:

@@ -184,7 +184,7 @@ class CampaignResults(CampaignStatistics, Result):
             [(f"{f.name}_" if f.name in RESERVED_XARRAY_AXIS_NAMES else f.name, f) for f in self.factors],
         )
         axes = {name: [level[f.name] for level in levels] for name, f in named}
-        steps = {name: _sorted_levels(dict.fromkeys(values)) for name, values in axes.items()}
+        steps = {name: _sorted_factor_levels(dict.fromkeys(values)) for name, values in axes.items()}
         unit = {name: {"units": f.unit, "keys": " ".join(f.keys)} for name, f in named}
         places = [tuple(steps[name].index(axes[name][k]) for name in steps) for k in range(len(levels))]
         if math.prod(map(len, steps.values())) == len(levels) == len(set(places)):
@@ -201,7 +201,7 @@ def _statistic_value(function: Callable[..., float], columns: Floats) -> float:
     return float(result.item())
 
 
-def _sorted_levels(levels: Iterable[Any]) -> list[Any]:
+def _sorted_factor_levels(levels: Iterable[Any]) -> list[Any]:
     """Levels in increasing order if all are numbers (an axis can then be sliced), else in their given order."""
     level_list = list(levels)
     return sorted(level_list) if all(isinstance(value, int | float) for value in level_list) else level_list
@@ -300,7 +300,7 @@ def _comparison_pairs(
     if factor_name not in ("method", *factors):
         raise unknown_name_error("factor of this campaign", factor_name, ("method", *factors))
     choices = list(methods) if factor_name == "method" else [level[factor_name] for level in levels]
-    first_level, second_level = (_matching_level(factor_name, level, choices) for level in (first_level, second_level))
+    first_level, second_level = (_requested_level(factor_name, level, choices) for level in (first_level, second_level))
     for cell, settings in enumerate(levels):
         if factor_name == "method":
             yield dict(settings), (cell, first_level), (cell, second_level)
@@ -311,7 +311,7 @@ def _comparison_pairs(
                 yield rest | several, (cell, method), (levels.index(settings | {factor_name: second_level}), method)
 
 
-def _matching_level(factor_name: str, requested_level: Any, levels: Sequence[Any]) -> Any:
+def _requested_level(factor_name: str, requested_level: Any, levels: Sequence[Any]) -> Any:
     """Level that a user requests by its value, by its text with unit, or by its value rounded to three digits.
 
     ModelError is raised for a value that is no level, or that may be the rounded value of several levels.

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from textwrap import indent
 from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
-from pydantic import ConfigDict, Field, StrictBool, StrictFloat, StrictInt, StrictStr, model_validator
+from pydantic import ConfigDict, Field, StrictBool, StrictFloat, StrictInt, StrictStr, field_validator, model_validator
 
-from ltsim.campaigns.design import Factor
+from ltsim.campaigns.design import Factor, shared_json_values
 from ltsim.core.limits import MAX_JSON_VALUES
 from ltsim.core.results import Column, Table, number_columns, text_columns
 from ltsim.recordings.result_file import Entry, ResultFile
@@ -356,6 +356,12 @@ class ManifestFile(ResultFile):
         title = f"{self.title}: " if self.title else ""
         methods = ", ".join(self.methods)
         return [f"Campaign: {title}{len(self.cells)} cells, at most {self.trials} trials each, {methods}"]
+
+    @field_validator("scenarios", mode="before")
+    @classmethod
+    def _share_equal_parts(cls, scenarios: Any) -> Any:
+        """Scenarios whose equal parts are the same object; 4,000 separate scenarios take 120 MB."""
+        return [*shared_json_values(scenarios)] if isinstance(scenarios, list) else scenarios
 
     @model_validator(mode="after")
     def _check_consistency(self) -> Self:

@@ -222,7 +222,7 @@ def load_cell_context(campaign: str, scenario: str, validation_scenario: str) ->
 
 
 def run_shard_task(task: ShardTask) -> tuple[ShardTask, bytes]:
-    """Task without its existing rows, and the bytes of the computed file of rows (shard).
+    """Completed task without its existing rows, and the bytes of the file of rows (shard) that it computed.
 
     The shard is computed with one thread, so that sums have the same order in every worker process.
     """

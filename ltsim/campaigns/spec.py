@@ -4,7 +4,7 @@ import hashlib
 import itertools
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -12,8 +12,17 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from ltsim.adjustment.evaluation.criteria import read_nominal
-from ltsim.campaigns.cell_scenarios import require_small_manifest, with_shared_values
-from ltsim.campaigns.design import MAX_DESIGN_KEYS, Factor, SpaceFillingDesign, cell_label, short_key_names
+from ltsim.campaigns.design import (
+    MAX_DESIGN_KEYS,
+    Factor,
+    SpaceFillingDesign,
+    cell_label,
+    require_few_cells,
+    require_small_manifest,
+    short_key_names,
+    with_cad_digests,
+    with_shared_values,
+)
 from ltsim.campaigns.schema import (
     RESULT_COLUMNS,
     CellEntry,
@@ -24,7 +33,6 @@ from ltsim.campaigns.schema import (
 )
 from ltsim.core.errors import InputError, reraise_as_input_error, unknown_name_error
 from ltsim.core.limits import MAX_ADDITIONAL_EFFECTS
-from ltsim.core.storage import read_whole_file
 from ltsim.core.units import MILLIMETRE
 from ltsim.recordings.keys import DistinctValues
 from ltsim.recordings.settings import read_toml, validate_settings
@@ -35,8 +43,6 @@ from ltsim.simulation.sections import PlacedEffect
 
 CAMPAIGN_FORMAT = "ltsim-campaign/1"
 """Format and version of a campaign file."""
-MAX_CELLS = 4096
-"""Largest number of cells (combinations of factor levels) of a campaign."""
 MAX_WRITTEN_SHARD_ROWS = 65_536
 """Largest number of rows (trials times methods) in a written file of rows (shard). A row with all statistics takes 2 kB
 of memory."""
@@ -194,10 +200,7 @@ class CampaignFile(TomlSection):
     def _check_size(self) -> Self:
         cells = max(len(self.cells), 1) * math.prod(len(values) for values in self.grid.values())
         cells *= self.design.cell_count if self.design else 1
-        if cells > MAX_CELLS:
-            raise ValueError(
-                f"a campaign should have at most {MAX_CELLS} cells, but grid, design and cells give {cells}: divide it"
-            )
+        require_few_cells(cells, [len(method.effects) for method in self.methods])
         number_of_shards(self.trials, self.trials_per_shard, cells)
         n_rows = min(self.trials_per_shard, self.trials) * len(self.methods)
         if n_rows > MAX_WRITTEN_SHARD_ROWS:
@@ -333,7 +336,7 @@ def make_campaign_cells(
         points_name = campaign.validation_points
         validation = make_validation_scenario(points_name, scenario, path) if points_name else None
         levels = {factor.name: factor.level_in_scenario(tables) for factor in factors}
-        texts = [_with_cad_digests(s).model_dump_json(by_alias=True) for s in (scenario, validation) if s is not None]
+        texts = [with_cad_digests(s).model_dump_json(by_alias=True) for s in (scenario, validation) if s is not None]
         digest = hashlib.sha256("\n".join([cell_seed_text, *texts]).encode()).hexdigest()
         cells.append(CampaignCell(scenario, validation, scenario_changes, levels, digest))
     return factors, tuple(cells)
@@ -376,25 +379,3 @@ def path_relative_to_campaign_file(name: str, path: Path) -> Path | None:
         if candidate.is_file():
             return candidate.resolve()
     return None
-
-
-def cad_files(scenarios: Iterable[Scenario]) -> list[Path]:
-    """Paths of the CAD files in the workshops of `scenarios`, without duplicates."""
-    file_names = (o.file for scenario in scenarios for o in scenario.workshop.obstacles if o.file is not None)
-    return [Path(name) for name in dict.fromkeys(file_names)]
-
-
-def _with_cad_digests(scenario: Scenario) -> Scenario:
-    """Copy of a scenario in which the name of each CAD file is replaced by the digest of the file's content."""
-    hall = scenario.workshop
-    digests = {path: hashlib.sha256(read_cad_bytes(path)).hexdigest() for path in cad_files([scenario])}
-    obstacles = [o if o.file is None else o.model_copy(update={"file": digests[Path(o.file)]}) for o in hall.obstacles]
-    return scenario.model_copy(update={"workshop": hall.model_copy(update={"obstacles": tuple(obstacles)})})
-
-
-def read_cad_bytes(path: Path) -> bytes:
-    """Content of a CAD file; raises InputError."""
-    try:
-        return read_whole_file(path)
-    except OSError as problem:
-        raise InputError(f"{path}: cannot be read ({problem.strerror})") from None

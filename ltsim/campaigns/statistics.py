@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import shutil
 import weakref
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import mkdtemp
@@ -17,6 +17,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ltsim.campaigns.columns import columns_from_rows
+from ltsim.campaigns.row_queries import (
+    MAX_COPIED_VALUES,
+    column_units,
+    database_memory_limit,
+    improvement_sql,
+    rows_sql,
+)
 from ltsim.campaigns.schema import (
     FULL_SOLVER,
     QUANTILE_LEVELS,
@@ -31,11 +38,10 @@ from ltsim.campaigns.schema import (
     summary_table,
 )
 from ltsim.campaigns.stopping import interval_error_rate, student_t_quantile
-from ltsim.campaigns.store import CampaignFolder, path_as_sql_text
-from ltsim.campaigns.summary import CampaignSummary, SolverComparison, StatisticSummary, ZScoreSummary
+from ltsim.campaigns.store import CampaignFolder
+from ltsim.campaigns.summary import CampaignSummary, SolverComparison, StatisticSummary, ZScoreSummary, unchecked_entry
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import InputError, ModelError, option_text, unknown_name_error
-from ltsim.core.limits import BYTES_PER_MIB, MAX_DATABASE_MEMORY_BYTES, MAX_FILE_BYTES
 from ltsim.core.results import ColumnValues, Table
 from ltsim.recordings.files import safe_excerpt
 from ltsim.recordings.result_file import Entry
@@ -51,9 +57,6 @@ DATABASE_SETTINGS: dict[str, Any] = {
 MAX_ROWS_FOR_EXACT_QUANTILES = 50_000_000
 """Largest number of rows for which quantiles are exact. They need all values of a column in memory; for more rows they
 are approximated (t-digest)."""
-CRITERIA_WITH_REPORTED_IMPROVEMENT = ("distance", "coordinate")
-"""Measures of the disagreement between stations (in distances between targets, in coordinates of targets) whose
-reduction by the calibration [%] is reported."""
 
 
 class CampaignStatistics:
@@ -99,12 +102,14 @@ class CampaignStatistics:
             raise InputError(f"{folder}: no file of rows of this campaign is complete yet")
         self._database = duckdb.connect(config={**DATABASE_SETTINGS, "memory_limit": database_memory_limit(shards)})
         self._set_temporary_folder()
-        source = f"read_parquet([{', '.join(map(path_as_sql_text, shards))}], union_by_name = true)"
         try:
             store.verify_shards(shards, {cell.cell: cell.digest for cell in self.manifest.cells})
             with _interruptible():
-                names = [row[0] for row in self._database.execute(f"DESCRIBE SELECT * FROM {source}").fetchall()]
-                self._database.execute(f"CREATE VIEW rows AS SELECT *{_improvement_sql(names)} FROM {source}")
+                source, n_values = rows_sql(shards)
+                names = [row[0] for row in self._database.execute(f"DESCRIBE {source}").fetchall()]
+                self._has_copied_rows = n_values <= MAX_COPIED_VALUES
+                kind = "TABLE" if self._has_copied_rows else "VIEW"
+                self._database.execute(f"CREATE {kind} rows AS SELECT *{improvement_sql(names)} FROM ({source})")
                 self._check_cells()
                 self._create_cells_table()
                 held = [row[0] for row in self._database.execute("DESCRIBE rows").fetchall() if row[1] == "FLOAT"]
@@ -112,7 +117,7 @@ class CampaignStatistics:
                 *held,
                 *(name for name in RATIO_STATISTICS if set(error_columns_of_ratio(name)) <= {*held}),
             )
-            self.units = {f.name: f.unit for f in self.factors if f.unit} | _column_units(pq.read_schema(shards[0]))
+            self.units = {f.name: f.unit for f in self.factors if f.unit} | column_units(pq.read_schema(shards[0]))
         except (duckdb.Error, pa.ArrowException, OSError, ValueError) as problem:
             raise _damaged_folder_error(folder, problem) from None
         self.folder = folder
@@ -165,8 +170,8 @@ class CampaignStatistics:
         return {
             "summary": self._summary,
             "cells": self._cells,
-            "solver_comparisons": lambda: columns_from_rows(self._with_factor_levels(self.solver_comparisons())),
-            "z_scores": lambda: columns_from_rows(self._with_factor_levels(self.z_score_summaries())),
+            "solver_comparisons": lambda: columns_from_rows(self.with_factor_levels(self.solver_comparisons())),
+            "z_scores": lambda: columns_from_rows(self.with_factor_levels(self.z_score_summaries())),
             "rows": self._rows,
         }
 
@@ -174,8 +179,14 @@ class CampaignStatistics:
         """Table `summary.csv`: all statistics for each cell (combination of factor levels) and method."""
         table = summary_table({factor.name: factor.kind for factor in self.factors})
         quantiles = table.header[-len(QUANTILE_LEVELS) :]
-        summary_rows = self._with_factor_levels(self.summary().columns)
+        entries = (entry for column in self._summarised_columns() for entry in self.statistic_summaries(column))
+        summary_rows = self.with_factor_levels(entries)
         return table.with_rows(row | dict(zip(quantiles, row["quantiles"], strict=True)) for row in summary_rows)
+
+    def _summarised_columns(self) -> list[str]:
+        """Names of the columns and ratios in the summary: all except those of single parameters."""
+        is_of_parameter = ("z:", "estimate:", "true:")
+        return [c for c in self.columns if not c.startswith(is_of_parameter) and c != SOLVER_DIFFERENCE_COLUMN]
 
     def _rows(self) -> ColumnValues:
         """All rows as columns, ordered by cell (combination of factor levels), method and trial."""
@@ -184,10 +195,11 @@ class CampaignStatistics:
             names = [column[0] for column in rows.description]
             return dict(zip(names, zip(*rows.fetchall(), strict=True), strict=True))
 
-    def _with_factor_levels(self, entries: Sequence[Entry]) -> list[dict[str, Any]]:
+    def with_factor_levels(self, entries: Iterable[Entry]) -> Iterator[dict[str, Any]]:
         """Entries (one per combination of factor levels and method) as mappings, with these levels added."""
-        entry_rows = [entry.model_dump(mode="json") for entry in entries]
-        return [{"cell": row["cell"]} | self.levels[row["cell"]] | row for row in entry_rows]
+        for entry in entries:
+            row = entry.model_dump(mode="json")
+            yield {"cell": row["cell"]} | self.levels[row["cell"]] | row
 
     def query(self, sql: str) -> list[tuple[Any, ...]]:
         """Rows that an SQL query over the tables `rows` and `cells` returns.
@@ -242,7 +254,8 @@ class CampaignStatistics:
         ):
             half = self.half_width_of_interval(count, _nan_if_none(deviation))
             summaries.append(
-                StatisticSummary(
+                unchecked_entry(
+                    StatisticSummary,
                     cell=cell,
                     method=method,
                     column=column,
@@ -265,6 +278,8 @@ class CampaignStatistics:
         """Result of an SQL query with the given expressions, one row per combination of factor levels and method."""
         sql = f"SELECT cell, method, {expressions} FROM {row_selection} WHERE {condition} "
         sql += "GROUP BY cell, method ORDER BY cell, method"
+        if self._has_copied_rows:
+            return self.query(sql)
         if sql not in self._cache:  # a report needs the same query for its figures and its tables
             self._cache[sql] = self.query(sql)
         return self._cache[sql]
@@ -287,8 +302,9 @@ class CampaignStatistics:
                 half = self.half_width_of_interval(
                     count, math.sqrt(max(aa - 2 * value * ab + value**2 * bb, 0.0)) / below
                 )
-            low, high, place = value - half, value + half, {"cell": cell, "method": method}
-            shares.append(StatisticSummary(**place, column=column, trials=count, mean=value, low=low, high=high))
+            place = {"cell": cell, "method": method, "column": column, "trials": count}
+            limits = {"low": value - half, "high": value + half}
+            shares.append(unchecked_entry(StatisticSummary, **place, mean=value, **limits))
         return shares
 
     def column_values(self, column: str, cell: int, method: str, *, max_trials: int) -> Floats:
@@ -322,7 +338,8 @@ class CampaignStatistics:
             what = f"count({name}), avg({name}), stddev_samp({name}), avg((abs({name}) <= {NORMAL_QUANTILE_95})::INT)"
             for cell, method, count, mean, deviation, coverage in self._query_each_cell(what, f"isfinite({name})"):
                 values = {"mean": mean, "standard_deviation": _nan_if_none(deviation), "coverage_95": coverage}
-                summaries.append(ZScoreSummary(cell=cell, method=method, parameter=parameter, trials=count, **values))
+                place = {"cell": cell, "method": method, "parameter": parameter}
+                summaries.append(unchecked_entry(ZScoreSummary, **place, trials=count, **values))
         return sorted(summaries, key=lambda s: (s.cell, s.method))
 
     def solver_comparisons(self) -> list[SolverComparison]:
@@ -338,9 +355,7 @@ class CampaignStatistics:
 
     def summary(self) -> CampaignSummary:
         """Statistics of all columns, for each cell (combination of factor levels) and method."""
-        columns_used = [
-            c for c in self.columns if not c.startswith(("z:", "estimate:", "true:")) and c != SOLVER_DIFFERENCE_COLUMN
-        ]
+        columns_used = self._summarised_columns()
         cells = zip(self.manifest.cells, self.levels, strict=True)
         return CampaignSummary(
             title=self.manifest.title,
@@ -365,32 +380,9 @@ def _interruptible() -> Iterator[None]:
         raise KeyboardInterrupt from None
 
 
-def _column_units(schema: pa.Schema) -> dict[str, str]:
-    """Units by column name, from the metadata of a file of rows, and of the columns `..._improvement_percent`."""
-    units = {f.name: (f.metadata or {}).get(b"unit", b"").decode() for f in schema}
-    added = {f"{kind}_improvement_percent": "%" for kind in CRITERIA_WITH_REPORTED_IMPROVEMENT}
-    return {name: unit for name, unit in (units | added).items() if unit}
-
-
-def _improvement_sql(names: list[str]) -> str:
-    """SQL expressions of the reduction of station disagreement by calibration [%], for the columns `names`."""
-    added = [
-        f', (100 * (1 - "{kind}_after_mean_um" / "{kind}_before_mean_um"))::FLOAT AS {kind}_improvement_percent'
-        for kind in CRITERIA_WITH_REPORTED_IMPROVEMENT
-        if {f"{kind}_after_mean_um", f"{kind}_before_mean_um"} <= set(names)
-    ]
-    return "".join(added)
-
-
 def _nan_if_none(value: float | None) -> float:
     """Number, or NaN in place of None."""
     return math.nan if value is None else float(value)
-
-
-def database_memory_limit(shards: Sequence[Path]) -> str:
-    """Largest memory of DuckDB for queries over the files `shards`, as text for its settings: `250MiB`."""
-    n_bytes = sum(shard.stat().st_size for shard in shards)
-    return f"{MAX_DATABASE_MEMORY_BYTES * max(1.0, n_bytes / MAX_FILE_BYTES) / BYTES_PER_MIB:.0f}MiB"
 
 
 def _damaged_folder_error(folder: Path, problem: Exception) -> InputError:

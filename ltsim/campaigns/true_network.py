@@ -15,7 +15,7 @@ import numpy as np
 
 from ltsim.campaigns.kernels import compute_readings
 from ltsim.campaigns.kinematic_chain import ChainArrays
-from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import InputError
 from ltsim.core.limits import (
     MAX_CAMPAIGN_POINTINGS,
@@ -32,7 +32,13 @@ from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.recordings.reflectors import smr_names
 from ltsim.scene.sightings import Sightings
-from ltsim.simulation.draws import DrawnTrialValues, EffectDistribution, StandardNormalSource, TrialDistributions
+from ltsim.simulation.draws import (
+    DrawnTrialValues,
+    EffectDistribution,
+    StandardNormalSource,
+    TrialDistributions,
+    TrueTrialValues,
+)
 from ltsim.simulation.measurement_geometry import MeasurementGeometry, make_measurement_geometry
 from ltsim.simulation.physics import instrument_resolutions, true_noise_sigmas
 from ltsim.simulation.scenario import Scenario
@@ -73,15 +79,9 @@ def make_campaign_geometry(scenario: Scenario, seed: int, *stream_key: str | int
 
 
 @dataclass(frozen=True)
-class TrialBatch:
+class TrialBatch(TrueTrialValues):
     """Batch of drawn trials: true values, readings and reference lengths of each trial."""
 
-    trial_numbers: Ints
-    """Numbers of the trials in the campaign, (trials,)."""
-    instrument_values: Floats
-    """True instrument parameters, (instruments, parameters, trials) [SI]."""
-    effect_values: tuple[Floats, ...]
-    """True parameters of each effect of the scenario, each (effect parameters, trials) [SI]."""
     reading_deviations: Floats
     """Readings minus nominal readings, (pointings, 3, trials) [m, rad, rad]."""
     length_errors: Floats
@@ -115,7 +115,7 @@ class TrueNetwork:
 
     @property
     def sightings(self) -> Sightings:
-        """Pointings with the true positions of stations, targets and nests, all in the same frame."""
+        """Pointings of a simulated network with the true positions of stations, targets and nests, all in one frame."""
         return self.distributions.sightings
 
     @property

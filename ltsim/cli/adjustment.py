@@ -34,6 +34,14 @@ smaller one it reports that the readings do not change. It is half of the last d
 CorrectedRecordingOption = Annotated[
     Path, typer.Option("--out", metavar="REC2", help="Folder of the corrected recording."), RECORDING_OUTPUT
 ]
+WithStationsOption = Annotated[
+    bool,
+    typer.Option(
+        "--with-stations",
+        help="Also write points.csv and points.covariance.csv to --out: targets and stations with their joint "
+        "covariance, as source of uncertainty and compare.",
+    ),
+]
 AllowRejectedOption = Annotated[
     bool, typer.Option("--allow-rejected", help="Also use a calibration whose readings contradict its model.")
 ]
@@ -44,6 +52,7 @@ NominalPointsOption = Annotated[
 
 def adjust(
     source: RecordingArgument,
+    with_stations: WithStationsOption = False,
     *,
     options: AdjustOptions,
     reading_options: ReadingOptionsWithFrame,
@@ -55,11 +64,12 @@ def adjust(
 
     Example: ltsim adjust my-recording --robust --noise-from-data --out adjusted
     """
-    _run_estimation(lt.adjust, source, reading_options, terminal, options.arguments())
+    _run_estimation(lt.adjust, source, reading_options, terminal, options.arguments(), with_stations=with_stations)
 
 
 def calibrate(
     source: RecordingArgument,
+    with_stations: WithStationsOption = False,
     *,
     options: CalibrateOptions,
     reading_options: ReadingOptionsWithFrame,
@@ -71,7 +81,7 @@ def calibrate(
 
     Example: ltsim calibrate my-recording --out my-calibration
     """
-    _run_estimation(lt.calibrate, source, reading_options, terminal, options.arguments())
+    _run_estimation(lt.calibrate, source, reading_options, terminal, options.arguments(), with_stations=with_stations)
 
 
 def correct(
@@ -183,19 +193,21 @@ def _run_estimation(
     reading_options: ReadingOptionsWithFrame,
     terminal: ResultFolderTerminal,
     options: dict[str, Any],
+    *,
+    with_stations: bool,
 ) -> None:
     """Run of `lt.adjust` or `lt.calibrate` (`estimator`) with output of the result on the terminal and in the folder.
 
     Without --force each command replaces only earlier results of the same command. `options` are keyword arguments of
-    the estimator.
+    the estimator. With `with_stations` the files of targets and stations are written too.
     """
     from ltsim.adjustment.coordinate_uncertainty import COVARIANCE_FILE_NAME
     from ltsim.calibration.calibration import Calibration
-    from ltsim.calibration.files import write_calibration
+    from ltsim.calibration.files import POINT_FILE_NAMES, write_calibration
     from ltsim.calibration.schema import RESIDUALS_TABLE, TARGETS_TABLE
 
     is_adjustment = estimator is lt.adjust
-    companion_names = (TARGETS_TABLE.file, COVARIANCE_FILE_NAME, RESIDUALS_TABLE.file)
+    companion_names = (TARGETS_TABLE.file, COVARIANCE_FILE_NAME, RESIDUALS_TABLE.file, *POINT_FILE_NAMES)
     terminal.check_overwrite(
         Calibration,
         *companion_names,
@@ -204,7 +216,7 @@ def _run_estimation(
     recording = reading_options.read_and_report(source, terminal)
     with terminal.show_progress("adjusting" if is_adjustment else "calibrating"):
         result = estimator(recording, **options)
-    result = write_calibration(result, terminal.out) if terminal.out else result
+    result = write_calibration(result, terminal.out, with_stations=with_stations) if terminal.out else result
     terminal.print_result(result, notes=result.notes)
 
 
@@ -244,6 +256,7 @@ def diagnose(
     source: RecordingArgument,
     held_out: HeldOutErrorOption = None,
     fail_on_mismatch: FailOnMismatchOption = False,
+    with_stations: WithStationsOption = False,
     *,
     options: DiagnoseOptions,
     reading_options: ReadingOptionsWithFrame,
@@ -263,7 +276,8 @@ def diagnose(
     recording = reading_options.read_and_report(source, terminal)
     with terminal.show_progress("diagnosing"):
         diagnosis = lt.diagnose(recording, held_out=held_out, **options.arguments())
-    diagnosis = write_diagnosis(diagnosis, terminal.out, recording) if terminal.out else diagnosis
+    if terminal.out:
+        diagnosis = write_diagnosis(diagnosis, terminal.out, recording, with_stations=with_stations)
     terminal.print_result(diagnosis)
     return 1 if fail_on_mismatch and diagnosis.verdict == "mismatch" else 0
 

@@ -14,7 +14,14 @@ import typer
 
 import ltsim as lt
 from ltsim.campaigns import require_campaign_packages
-from ltsim.cli.options import FunctionOptions, PairParser, bounded_option, choice_option, parse_toml_value
+from ltsim.cli.options import (
+    FunctionOptions,
+    PairParser,
+    ShowTemplateOption,
+    bounded_option,
+    choice_option,
+    parse_toml_value,
+)
 from ltsim.cli.output_checks import NEW_FILE_OUTPUT, RESULT_FOLDER_OUTPUT, ForceOption
 from ltsim.cli.simulate import ScenarioArgument
 from ltsim.cli.terminal import ResultFolderTerminal, Terminal, write_line
@@ -35,9 +42,6 @@ trial; above it the exit status is 1."""
 
 
 CampaignFileArgument = Annotated[str | None, typer.Argument(metavar="FILE", help="A campaign file (ltsim-campaign/1).")]
-ShowTemplateOption = Annotated[
-    bool, typer.Option("--show", help="Print a commented template of a campaign file, and stop.")
-]
 CampaignFolderOption = Annotated[
     Path | None,
     typer.Option("--out", metavar="DIR", help="Folder for the rows; default: FILE without its suffix."),
@@ -126,7 +130,6 @@ def campaign(
     from ltsim.campaigns.spec import load_campaign
     from ltsim.campaigns.store import CampaignFolder
     from ltsim.campaigns.verbs import rows_folder
-    from ltsim.reports.sections.campaign import campaign_section
 
     workers = WorkerSettings(options.jobs, options.backend, options.scheduler)
     changes = options.arguments().get("changes")
@@ -153,19 +156,21 @@ def campaign(
             f"{n_finished_files} files with results of finished trials remain in {folder}; continue with --resume"
         ) from None
     results = CampaignResults(folder)
-    summary = results.summary()
     write_text(folder / "summary.csv", results.table("summary").csv_text())
     for note in outcome.notes:
         terminal.print_note(note)
-    terminal.print_json(summary.model_dump(mode="json"))
+    if terminal.as_json:  # the summary of thousands of cells takes 100 MB
+        terminal.print_json(results.summary().model_dump(mode="json"))
     existing_text = f", {outcome.n_existing_shards} existed already" if outcome.n_existing_shards else ""
     terminal.print_text(f"{outcome.n_computed_shards} files of rows written to {folder}{existing_text}\n")
     if not terminal.is_silent:
+        from ltsim.reports.sections.campaign import campaign_section  # after the trials: takes 30 MB
+
         terminal.print_text(campaign_section(folder).terminal_text())
         terminal.print_text(f"\nall statistics: {folder / 'summary.csv'}; a page: ltsim report {folder}")
     failures = [
         solver_difference_sentence(e, results)
-        for e in summary.solver_comparisons
+        for e in results.solver_comparisons()
         if (e.largest_difference_sigma or 0.0) > MAX_BATCH_SOLVER_DIFFERENCE
     ]
     for failure in failures:

@@ -13,7 +13,7 @@ import typer
 import ltsim as lt
 from ltsim.cli.estimation_options import BenchOptions, CheckOptions, CompareOptions, UncertaintyOptions
 from ltsim.cli.examples import example_file_content
-from ltsim.cli.options import ReadingOptions, ReadingOptionsWithControl, RecordingArgument
+from ltsim.cli.options import ReadingOptions, ReadingOptionsWithControl, RecordingArgument, ShowTemplateOption
 from ltsim.cli.terminal import ResultFolderTerminal, Terminal, is_reader_gone
 from ltsim.core.errors import InputError, NetworkError, RecordError
 from ltsim.core.notation import align_columns
@@ -23,7 +23,7 @@ from ltsim.simulation.builtin import builtin_names
 if TYPE_CHECKING:
     from ltsim.adjustment.fieldcheck import Check, CheckItem
     from ltsim.measurands.spec import Tasks
-    from ltsim.recordings.coordinates import EpochCoordinates
+    from ltsim.recordings.epoch_coordinates import EpochCoordinates
     from ltsim.recordings.recording import Recording
 
 TwoFaceLimitOption = Annotated[
@@ -41,7 +41,6 @@ WatchOption = Annotated[
 AcceptanceFileArgument = Annotated[
     Path | None, typer.Argument(metavar="FILE", help="An acceptance file (ltsim-acceptance/1).")
 ]
-ShowTemplateOption = Annotated[bool, typer.Option("--show", help="Print a commented template, and stop.")]
 BenchTableArgument = Annotated[Path, typer.Argument(metavar="FILE", help="A table of angle_deg,length_um,probe_um.")]
 POLL_INTERVAL_S = 1.0
 """Time [s] between two looks at the files of a growing recording, to see whether they have changed."""
@@ -107,14 +106,14 @@ def wait_for_changes(source: Path) -> Iterator[None]:
     """Iterator that yields at once, and then each time a file of the recording `source` has changed."""
     last_states: tuple[tuple[str, int, int], ...] | None = None
     while True:
-        states = _file_states(source)
+        states = _file_modification_states(source)
         if states != last_states:
             last_states = states
             yield
         time.sleep(POLL_INTERVAL_S)
 
 
-def _file_states(source: Path) -> tuple[tuple[str, int, int], ...]:
+def _file_modification_states(source: Path) -> tuple[tuple[str, int, int], ...]:
     """Name, size [byte] and time of the last change [ns] of each file of a recording."""
     files = sorted(source.iterdir()) if source.is_dir() else [source]
     states = []
@@ -147,18 +146,18 @@ def watch_recording(terminal: Terminal, run_check: Callable[[], Check], changes:
         reported_reasons.clear()
         failed = [item for item in result.items if not item.passed]
         for item in failed:
-            if _test_key(item) not in reported_failures:
+            if _failed_test_key(item) not in reported_failures:
                 terminal.print_unbuffered(
                     f"{len(result.arrays.recording)} pointings: NO-GO {item.sentence}", rings_bell=True
                 )
-        if (reported_failures and not failed) or not reported_failures.union(map(_test_key, failed)):
+        if (reported_failures and not failed) or not reported_failures.union(map(_failed_test_key, failed)):
             terminal.print_unbuffered(f"{len(result.arrays.recording)} pointings: {result.sentence}")
-        reported_failures = set(map(_test_key, failed))
+        reported_failures = set(map(_failed_test_key, failed))
         if is_reader_gone():
             return
 
 
-def _test_key(item: CheckItem) -> tuple[str, str, tuple[str, ...]]:
+def _failed_test_key(item: CheckItem) -> tuple[str, str, tuple[str, ...]]:
     """Station, kind and targets of a test, by which a failed test is recognised, so that it is printed once."""
     return item.station, item.kind, item.targets
 
@@ -254,13 +253,16 @@ def compare(
     return int(bool(comparison.moved_points))
 
 
-def _coordinates_or_path(path: Path, terminal: Terminal) -> EpochCoordinates | Path:
-    """Coordinates read from a list of coordinates, with its notes and size printed; otherwise the path itself."""
+def _coordinates_or_path(path: Path, terminal: Terminal, *, allows_fixed: bool = False) -> EpochCoordinates | Path:
+    """Coordinates read from a list of coordinates, with its notes and size printed; otherwise the path itself.
+
+    With `allows_fixed`, coordinates that define the frame may have the variance 0.
+    """
     from ltsim.recordings.coordinates import is_coordinate_file, read_coordinates
 
     if not is_coordinate_file(path):
         return path
-    coordinates = read_coordinates(path)
+    coordinates = read_coordinates(path, allows_fixed=allows_fixed)
     terminal.print_notes(coordinates.notes)
     terminal.print_text(f"{coordinates.title}: {len(coordinates.names)} points along {', '.join(coordinates.axes)}")
     return coordinates
@@ -343,5 +345,5 @@ def _data_of_tasks(
     if not source_path.exists():
         raise InputError(f"{file}: source is {source_path}, which is neither a recording nor a scenario")
     if is_coordinate_file(source_path):
-        return _coordinates_or_path(source_path, terminal)
+        return _coordinates_or_path(source_path, terminal, allows_fixed=True)
     return ReadingOptions().read_and_report(source_path, terminal)

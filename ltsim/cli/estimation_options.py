@@ -252,10 +252,7 @@ class CompareOptions(FunctionOptions):
             "--calibrate/--no-calibrate", help="True to estimate the instrument parameters in each recording."
         ),
     ] = True
-    robust: Annotated[
-        bool,
-        typer.Option("--robust", help="True to exclude outliers; each excluded reading is tested again at the end."),
-    ] = False
+    robust: RobustOption = False
     level: Annotated[
         float,
         bounded_option(

@@ -76,6 +76,7 @@ _CALIBRATION_OPTION = typer.Option("--calibration", metavar="FILE", help="A cali
 CalibrationFileOption = Annotated[Path, _CALIBRATION_OPTION]
 OptionalCalibrationFileOption = Annotated[Path | None, _CALIBRATION_OPTION]
 JobsOption = Annotated[int, bounded_option("jobs", "Number of processes; the result does not depend on it.", "-j")]
+ShowTemplateOption = Annotated[bool, typer.Option("--show", help="Print a commented template, and stop.")]
 FormatNameOption = Annotated[
     str | None, typer.Option("--format", metavar="NAME", help="Format of REC; default by its content.")
 ]

@@ -125,7 +125,7 @@ def plan(
         if source is not None:
             raise InputError("ltsim plan needs either FILE or --after REC, not both")
         check_overwrite(out, NextMeasurement, (PROPOSALS_TABLE.file,), force=force)
-        return _propose_next_measurement(terminal, reading_options.read(after), _effect_names(between), site, out)
+        return _propose_next_measurement(terminal, reading_options.read(after), _parse_effect_names(between), site, out)
     if between is not None:
         raise InputError("--between needs --after REC, the recording that several effects explain")
     if site is not None:
@@ -220,7 +220,7 @@ def _search_plan(terminal: Terminal, source: str, folder: Path | None, search_op
             source,
             **search_options,
             callbacks=SearchCallbacks(
-                _percent_callback(advance), terminal.print_unbuffered, describe_obstacles, write_best_layout
+                _progress_bar_callback(advance), terminal.print_unbuffered, describe_obstacles, write_best_layout
             ),
         )
     if folder is not None:
@@ -233,7 +233,7 @@ def _write_and_print_plan(terminal: Terminal, plan_result: Plan, folder: Path | 
     from ltsim.planning.result import write_plan
 
     with terminal.show_progress("writing tables, pictures and the work order"):
-        content = write_plan(plan_result, folder, {} if folder is None else _picture_files(plan_result))
+        content = write_plan(plan_result, folder, {} if folder is None else _work_order_and_picture_files(plan_result))
     terminal.print_result(content)
     if folder is not None:
         terminal.print_text(
@@ -246,7 +246,7 @@ def _write_and_print_plan(terminal: Terminal, plan_result: Plan, folder: Path | 
         terminal.print_text("\nNo file was written; --out DIR writes this plan.")
 
 
-def _picture_files(plan_result: Plan) -> dict[str, bytes]:
+def _work_order_and_picture_files(plan_result: Plan) -> dict[str, bytes]:
     """Contents of the work order page and of the pictures (floor plan, trade-off curve), by file name."""
     from ltsim.reports.figures.parameters import trade_off_figure
     from ltsim.reports.style import png_bytes
@@ -263,7 +263,7 @@ def _picture_files(plan_result: Plan) -> dict[str, bytes]:
     )
 
 
-def _percent_callback(advance_bar: Callable[[int], None]) -> Callable[[str, float], None]:
+def _progress_bar_callback(advance_bar: Callable[[int], None]) -> Callable[[str, float], None]:
     """Callback (task, fraction) that advances a progress bar of 100 steps to the finished fraction (0 to 1).
 
     `advance_bar` advances the bar by a number of steps.
@@ -278,7 +278,7 @@ def _percent_callback(advance_bar: Callable[[int], None]) -> Callable[[str, floa
     return advance_to
 
 
-def _effect_names(effect_list: str | None) -> tuple[str, ...]:
+def _parse_effect_names(effect_list: str | None) -> tuple[str, ...]:
     """Names of effects from a comma-separated list; raises InputError for fewer than two or repeated names."""
     if effect_list is None:
         return ()
@@ -317,7 +317,7 @@ def _propose_next_measurement(
             between=effect_names,
             with_effects=modelled_effects,
             site=site,
-            progress=lambda task, fraction: callback_by_task.setdefault(task, _percent_callback(advance))(
+            progress=lambda task, fraction: callback_by_task.setdefault(task, _progress_bar_callback(advance))(
                 task, fraction
             ),
         )

@@ -1,4 +1,4 @@
-"""Exceptions of ltsim, and the condition under which each is raised.
+"""Exceptions of ltsim, the condition under which each is raised, and the errors that several packages raise.
 
 * `RecordError`: a file or a recording is malformed. The message is one sentence with file, row, column, value, and the
   expected value.
@@ -15,6 +15,9 @@ import difflib
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
+
+MAX_QUOTED_COLUMNS = 12
+"""Largest number of titles of columns that a message on a missing column lists: two lines of a terminal."""
 
 
 class LtsimError(Exception):
@@ -167,3 +170,24 @@ def unknown_name_error(object_kind: str, unknown_name_text: str, valid_names: It
     short = shortened_name(unknown_name_text)
     similar_names = difflib.get_close_matches(short, choices, n=3, cutoff=0.4) or choices
     return ModelError(f"there is no {object_kind} called '{short}'; did you mean {', '.join(similar_names)}?")
+
+
+def require_columns(header: Sequence[str], required_names: Sequence[str], file: object | None = None) -> None:
+    """Check that the header of a table has each required column once; raises RecordError with the name of the file."""
+    for name in required_names:
+        if name not in header:
+            raise RecordError(missing_column_text(name, header), file=file, row=0)
+        if header.count(name) > 1:
+            raise RecordError(f"the column {name} is there twice; remove one of the two", file=file, row=0)
+
+
+def missing_column_text(name: str, header: Sequence[str]) -> str:
+    """Message on a required column that a table lacks: its name, the columns in the `header`, and the next action."""
+    similar_names = difflib.get_close_matches(name, header, n=1, cutoff=0.6)
+    columns = ", ".join(shortened_name(title) for title in header[:MAX_QUOTED_COLUMNS])
+    more = f" and {len(header) - MAX_QUOTED_COLUMNS} more" if len(header) > MAX_QUOTED_COLUMNS else ""
+    change = f"rename '{shortened_name(similar_names[0])}', if it" if similar_names else "rename the column that"
+    return (
+        f"the required column {name} is missing; the header has the columns {columns or '(none)'}{more}; "
+        f"{change} contains these values, or add the column"
+    )

@@ -19,6 +19,9 @@ MAX_LISTED_SENTENCES = 4
 """Largest number of sentences of one kind that are displayed; further ones are only counted."""
 MAX_SIGMA_DECIMALS = 12
 """Largest number of decimals in a displayed standard deviation; standard deviations below 1e-12 are displayed as 0."""
+INTERPRETED_START_CHARACTERS = ("=", "+", "-", "@", "'", "#")
+"""Characters at the start of a text that a spreadsheet may take for a formula, or a reader for a comment (#); the CSV
+file has an apostrophe before them."""
 
 
 def number_text(value: float | None, n_digits: int = 3) -> str:
@@ -80,9 +83,9 @@ def align_columns(header: Sequence[str], table_rows: Sequence[Sequence[str]], n_
     )
 
 
-def count_text(n_items: int, singular: str, plural: str = "") -> str:
+def count_text(n_items: int, singular: str) -> str:
     """Text of a number and its noun: `1 station`, `5 stations`."""
-    return f"{n_items} {singular if n_items == 1 else plural or singular + 's'}"
+    return f"{n_items} {singular}{'' if n_items == 1 else 's'}"
 
 
 def names_text(names: Sequence[str], max_items: int = MAX_LISTED_ITEMS) -> str:
@@ -102,3 +105,13 @@ def fixed_point_text(value: float | None, n_decimals: int) -> str:
 def unsigned_zero(decimal_text: str) -> str:
     """Decimal number as text, without the minus sign of `-0.00`."""
     return decimal_text if decimal_text.strip("-0.") else decimal_text.removeprefix("-")
+
+
+def escape_cell_text(text: str) -> str:
+    """Text for a CSV cell, with an apostrophe before a text that would be interpreted as a formula or comment."""
+    return f"'{text}" if text.startswith(INTERPRETED_START_CHARACTERS) else text
+
+
+def unescape_cell_text(text: str) -> str:
+    """Text of a CSV cell without the apostrophe that `escape_cell_text` adds."""
+    return text[1:] if text.startswith("'") and text[1:].startswith(INTERPRETED_START_CHARACTERS) else text

@@ -1,4 +1,7 @@
-"""Function calls in parallel worker processes; the workers exit with their parent process, even if it is killed."""
+"""Parallel worker processes, and the limit of linear algebra to one thread.
+
+The workers exit with their parent process, even if it is killed. One thread is faster for small matrices.
+"""
 
 import os
 import signal
@@ -7,7 +10,11 @@ import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import Any, TypeVar
+from contextvars import ContextVar
+from functools import cache, wraps
+from typing import Any, ParamSpec, TypeVar
+
+from threadpoolctl import ThreadpoolController
 
 from ltsim.core.arguments import check_argument_bounds
 from ltsim.core.errors import WorkerError, option_text
@@ -18,6 +25,14 @@ PYTHON_SAFE_PATH_ENVIRONMENT_VARIABLE = "PYTHONSAFEPATH"
 """Name of the environment variable that keeps the working folder off Python's module search path."""
 ReturnType = TypeVar("ReturnType")
 """Type of the result of a function that worker processes call."""
+DecoratedParameters = ParamSpec("DecoratedParameters")
+"""Parameters of the decorated function."""
+DecoratedReturn = TypeVar("DecoratedReturn")
+"""Type of the result of the decorated function."""
+
+
+_IS_THREAD_COUNT_LIMITED: ContextVar[bool] = ContextVar("whether a caller has set the limit already", default=False)
+"""Flag, True while a calling function has already limited linear algebra to one thread."""
 
 
 def run_parallel(
@@ -46,7 +61,7 @@ def run_parallel(
     watching = {"initializer": _start_worker, "initargs": (os.getpid(),)}
     with parallel_config(backend="loky", inner_max_num_threads=1, **watching):
         pool = Parallel(n_jobs=n_processes, return_as=return_as, batch_size=calls_per_batch)
-    with _without_working_folder(), _blocked_interrupts():
+    with _without_working_folder(), _blocked_keyboard_interrupts():
         results = pool(delayed(function)(*arguments) for arguments in argument_tuples)
     try:
         with _without_working_folder():
@@ -80,7 +95,7 @@ def _without_working_folder() -> Iterator[None]:
 
 
 @contextmanager
-def _blocked_interrupts() -> Iterator[None]:
+def _blocked_keyboard_interrupts() -> Iterator[None]:
     """Context in which worker processes and threads start with a signal mask that blocks Ctrl-C.
 
     A terminal sends Ctrl-C to all processes of a command. A worker that it reaches while it imports its modules would
@@ -110,10 +125,10 @@ def _start_worker(parent_process_id: int) -> None:
     signal.signal(signal.SIGINT, lambda *_: None)
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-    _watch_parent(parent_process_id)
+    _start_parent_watcher(parent_process_id)
 
 
-def _watch_parent(parent_process_id: int) -> None:
+def _start_parent_watcher(parent_process_id: int) -> None:
     """Start of a thread that ends this process when the process `parent_process_id` no longer exists."""
 
     def end_with_parent() -> None:
@@ -122,3 +137,31 @@ def _watch_parent(parent_process_id: int) -> None:
         os._exit(1)
 
     threading.Thread(target=end_with_parent, daemon=True).start()
+
+
+@cache
+def _thread_pool_controller() -> ThreadpoolController:
+    """Controller of the number of threads of the linear-algebra libraries, created once to save time."""
+    return ThreadpoolController()
+
+
+def single_threaded(
+    function: Callable[DecoratedParameters, DecoratedReturn],
+) -> Callable[DecoratedParameters, DecoratedReturn]:
+    """Decorator that limits the linear-algebra libraries to one thread while a function runs.
+
+    One thread is faster for small matrices, and the results are reproducible because the order of summation is fixed.
+    """
+
+    @wraps(function)
+    def wrapper(*args: DecoratedParameters.args, **kwargs: DecoratedParameters.kwargs) -> DecoratedReturn:
+        if _IS_THREAD_COUNT_LIMITED.get():
+            return function(*args, **kwargs)
+        token = _IS_THREAD_COUNT_LIMITED.set(True)
+        try:
+            with _thread_pool_controller().limit(limits=1):
+                return function(*args, **kwargs)
+        finally:
+            _IS_THREAD_COUNT_LIMITED.reset(token)
+
+    return wrapper

@@ -21,21 +21,33 @@ from pydantic import BaseModel
 from ltsim.core.arrays import Floats
 from ltsim.core.descriptions import field_descriptions
 from ltsim.core.equality import ValueEquality
-from ltsim.core.errors import ModelError, RecordError, as_printable, missing_extra_error, unknown_name_error
+from ltsim.core.errors import (
+    ModelError,
+    RecordError,
+    as_printable,
+    missing_extra_error,
+    require_columns,
+    unknown_name_error,
+)
 from ltsim.core.limits import MAX_TEXT_LINES
-from ltsim.core.notation import MISSING_TEXT, align_columns, decimals_of_sigma, number_text, unsigned_zero, with_sigma
+from ltsim.core.notation import (
+    MISSING_TEXT,
+    align_columns,
+    decimals_of_sigma,
+    escape_cell_text,
+    number_text,
+    unescape_cell_text,
+    unsigned_zero,
+    with_sigma,
+)
 from ltsim.core.plotting import plotting_module
 from ltsim.core.probability import p_value_text
-from ltsim.core.table_headers import require_columns
 from ltsim.core.units import UNIT_BY_KEY_ENDING, unit_of_key
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-INTERPRETED_START_CHARACTERS = ("=", "+", "-", "@", "'", "#")
-"""Characters at the start of a text that a spreadsheet may take for a formula, or a reader for a comment (#); the CSV
-file has an apostrophe before them."""
 MAX_RESULT_MAGNITUDE = 1e40
 """Largest absolute value of a number in a result file, so that a product of seven such numbers does not overflow."""
 MAX_NOTEBOOK_ROWS = 12
@@ -367,16 +379,6 @@ class Result(ValueEquality):
         """Figure of the result (matplotlib); raises ModelError for a result without a figure."""
         figure: Figure = plotting_module("plots").figure_of(self)
         return figure
-
-
-def escape_cell_text(text: str) -> str:
-    """Text for a CSV cell, with an apostrophe before a text that would be interpreted as a formula or comment."""
-    return f"'{text}" if text.startswith(INTERPRETED_START_CHARACTERS) else text
-
-
-def unescape_cell_text(text: str) -> str:
-    """Text of a CSV cell without the apostrophe that `escape_cell_text` adds."""
-    return text[1:] if text.startswith("'") and text[1:].startswith(INTERPRETED_START_CHARACTERS) else text
 
 
 def _column_kind(column: Sequence[Any]) -> ColumnKind:

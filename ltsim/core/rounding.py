@@ -1,5 +1,7 @@
 """Limits of rounding errors in double and single precision."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 SQRT_MACHINE_EPSILON = float(np.sqrt(np.finfo(np.float64).eps))
@@ -16,3 +18,13 @@ MAX_LOG_EVIDENCE_ROUNDING_ERROR = 1e-3
 the spacing of single-precision numbers near 10,000. An effect of 140 standard deviations has a log evidence of this
 size.
 """
+
+
+def index_of_largest(values: Sequence[float]) -> int:
+    """Index of the largest of `values`; of several that differ only by rounding errors, the first.
+
+    Which of equal values is the largest depends on the instructions that the matrix library chooses for a processor.
+    """
+    array = np.asarray(values, dtype=np.float64)
+    largest = float(array.max())
+    return int(np.flatnonzero(array >= largest - NORMAL_EQUATIONS_TOLERANCE * max(abs(largest), 1.0))[0])

@@ -134,7 +134,7 @@ def complete_interrupted_moves(folder: Path) -> set[str]:
     Temporary files of killed processes are removed. OSError is raised if the folder cannot be written.
     """
     finished_names: set[str] = set()
-    for journal in _abandoned_files(folder, "moves"):
+    for journal in _abandoned_temporary_files(folder, "moves"):
         try:
             with open_for_reading(journal) as stream:
                 moves = json.loads(stream.read(MAX_JOURNAL_BYTES))
@@ -149,7 +149,7 @@ def complete_interrupted_moves(folder: Path) -> set[str]:
             _rename_files(folder, moves, flush_to_disk=False)
             finished_names.update(moves.values())
         journal.unlink(missing_ok=True)
-    for temporary in _abandoned_files(folder, "tmp"):
+    for temporary in _abandoned_temporary_files(folder, "tmp"):
         temporary.unlink(missing_ok=True)
     return finished_names
 
@@ -258,7 +258,7 @@ def _is_inside_folder(folder: Path, file_name: str) -> bool:
     return Path(os.path.realpath(folder / file_name)).is_relative_to(os.path.realpath(folder))
 
 
-def _abandoned_files(folder: Path, file_suffix: str) -> Iterator[Path]:
+def _abandoned_temporary_files(folder: Path, file_suffix: str) -> Iterator[Path]:
     """Temporary files with the suffix `file_suffix` in a folder and its subfolders whose processes have ended.
 
     Files behind symbolic links are left out.
@@ -266,11 +266,11 @@ def _abandoned_files(folder: Path, file_suffix: str) -> Iterator[Path]:
     for path in [*folder.glob(f".ltsim-*.{file_suffix}"), *folder.glob(f"*/.ltsim-*.{file_suffix}")]:
         match = _TEMPORARY_NAME_PATTERN.fullmatch(path.name)
         name = path.relative_to(folder).as_posix()
-        if match and _is_inside_folder(folder, name) and not _is_running(int(match[1]), match[2]):
+        if match and _is_inside_folder(folder, name) and not _is_process_running(int(match[1]), match[2]):
             yield path
 
 
-def _is_running(process_id: int, process_token: str) -> bool:
+def _is_process_running(process_id: int, process_token: str) -> bool:
     """True if the process with this number and random identifier is still running, or if this cannot be determined."""
     if os.name == "nt":  # where `os.kill` would end the process
         return True

@@ -75,7 +75,8 @@ CONVERTIBLE_UNIT_GROUPS = (
 _SPELLINGS_BY_UNIT = MappingProxyType(
     {
         "deg": "deg degree degrees ° grad° º", "gon": "gon gons grad grads g gr neugrad", "rad": "rad radian radians",
-        "dms": "dms ddmmss d_m_s °_'_\" °'\" dd_mm_ss d.ms d.mmss dd.mmss ddd.mmss ddd.mmssss",
+        "dms": "dms ddmmss d_m_s °_'_\" °'\" dd_mm_ss d.ms d.mmss dd.mmss ddd.mmss ddd.mmssss "
+        "d_m_s.s dd_mm_ss.s ddd_mm_ss ddd_mm_ss.s d:m:s dd:mm:ss ddd:mm:ss d-m-s dd-mm-ss ddd-mm-ss dddmmss",
         "arcsec": "arcsec arcseconds ″", "cc": "cc", "mgon": "mgon",
         "urad": "urad µrad μrad", "mrad": "mrad", "mm": "mm millimeter millimeters millimetre millimetres",
         "m": "m meter meters metre metres", "in": "in inch inches zoll \"", "cm": "cm", "ft": "ft feet foot",

@@ -34,9 +34,8 @@ from ltsim.diagnosis.sentences import (
     diagnosis_summary,
     unknown_noise_sentence,
 )
-from ltsim.physics.laws.centring import CentringVariance
 from ltsim.physics.laws.text_form import covariate_value_text, region_text
-from ltsim.physics.laws.variance import VarianceFunction
+from ltsim.physics.laws.variance import CentringVariance, VarianceFunction
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.recordings.result_file import ResultSource
 from ltsim.recordings.specification import noise_origin
@@ -122,16 +121,20 @@ def assemble_diagnosis(
 def _reported_findings(
     test_findings: Sequence[Finding], shift_findings: Sequence[Finding], noise_findings: Sequence[Finding]
 ) -> list[Finding]:
-    """Findings of a diagnosis, sorted by decreasing drop of chi-square.
+    """Findings of a diagnosis: first probable errors of readings, then others, each by decreasing drop of chi-square.
 
     They are findings of tests (such as blunders), of effects that shift readings, and on changed noise levels.
-    Improbable findings on the noise are reported only if there is no other finding.
+    Improbable findings on the noise are reported only if there is no other finding. As in `select_causes`, errors of
+    readings come before the noise, because noise may be the remainder of an error.
     """
     probable_noise = [
         finding for finding in noise_findings if finding.evidence.p_real >= MIN_PROBABILITY_OF_PROBABLE_CAUSE
     ]
-    findings = [*test_findings, *shift_findings, *probable_noise] or noise_findings
-    return sorted(findings, key=lambda finding: -finding.evidence.chi2_drop)
+    errors = [*test_findings, *shift_findings]
+    probable_errors = [f for f in errors if f.evidence.p_real >= MIN_PROBABILITY_OF_PROBABLE_CAUSE]
+    others = [finding for finding in errors if finding not in probable_errors]
+    groups = probable_errors, [*others, *probable_noise] if errors or probable_noise else noise_findings
+    return [f for group in groups for f in sorted(group, key=lambda finding: -finding.evidence.chi2_drop)]
 
 
 def _averaged_targets_and_reading_change(

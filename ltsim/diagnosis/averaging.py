@@ -73,14 +73,16 @@ def average_over_explanations(
     """
     refitted = [replace(h, effect=effect) for h, effect in zip(model.hypotheses, refit.effects, strict=True)]
     space, linear = searcher.residual_space, first_order_reading_change(searcher, searcher.model_with(refitted))
-    points, change = refit.adjustment.state.target_points + space.target_shifts(linear), -linear
+    state, n_targets = refit.adjustment.state, len(refit.adjustment.state.target_points)
+    points = np.concatenate([state.target_points, state.station_positions]) + space.point_shifts(linear)
+    change = -linear
     shift_by_laws, weighted_deviations = np.zeros_like(points), [np.zeros((0, *points.shape))]
     for i, ranking in enumerate(rankings_of_alternatives):
         others = searcher.model_without(model, i)
         weights, changes = alternative_probabilities_and_reading_changes(
             searcher, others, model.hypotheses[i], ranking, 1.0 + model.discrepancy_penalty
         )
-        shifts = np.stack([-space.target_shifts(row) for row in changes])
+        shifts = np.stack([-space.point_shifts(row) for row in changes])
         mean_change = (
             weights @ changes
             if model.hypotheses[i].is_catalogued
@@ -89,22 +91,27 @@ def average_over_explanations(
                 searcher, others, model.hypotheses[i], ranking, 1.0 + model.discrepancy_penalty
             )
         )
-        mean = -space.target_shifts(mean_change)
+        mean = -space.point_shifts(mean_change)
         points += mean
         change += mean_change
         shift_by_laws += mean if not model.hypotheses[i].is_catalogued else 0.0
         weighted_deviations.append(np.sqrt(weights)[:, None, None] * (shifts - mean))
     deviations = np.concatenate(weighted_deviations)
     residual_shift = (
-        1.0 - _max_subtracted_fraction_of_target_shifts(refit.adjustment, shift_by_laws, deviations)
+        1.0
+        - _max_subtracted_fraction_of_target_shifts(
+            refit.adjustment, shift_by_laws[:n_targets], deviations[:, :n_targets]
+        )
     ) * shift_by_laws
     spread = np.concatenate([deviations, residual_shift[None]])
     adjustment = refit.adjustment
     covariance = adjustment.target_covariances + covariance_due_to_air(
         adjustment, adjustment.problem.unknowns.target_columns
     )
-    covariance = covariance + np.einsum("kti,ktj->tij", spread, spread)
-    return AveragedTargets(points - residual_shift, covariance, spread), space.unwhiten(change)
+    of_targets, points = spread[:, :n_targets], points - residual_shift
+    covariance = covariance + np.einsum("kti,ktj->tij", of_targets, of_targets)
+    averaged = AveragedTargets(points[:n_targets], covariance, of_targets, points[n_targets:], spread[:, n_targets:])
+    return averaged, space.unwhiten(change)
 
 
 def _max_subtracted_fraction_of_target_shifts(

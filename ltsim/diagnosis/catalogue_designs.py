@@ -215,11 +215,11 @@ class CatalogueDesigns:
                 made.append(transposed_designs)
             touching.append(effect)
         effect_groups = [
-            _sparse_group(n_parameters, sparse_designs.pop(n_parameters), space.n_equations)
+            _sparse_designs(n_parameters, sparse_designs.pop(n_parameters), space.n_equations)
             for n_parameters in sorted(sparse_designs)
         ]
         effect_groups += [
-            _dense_group(n_parameters, effect_indices, stack_and_release(made), np.flatnonzero(np.array(kinds)[kind]))
+            _dense_designs(n_parameters, effect_indices, stack_and_release(made), np.flatnonzero(np.array(kinds)[kind]))
             for (n_parameters, kinds), (effect_indices, made) in sorted(dense_designs.items())
         ]
         names = tuple(dict.fromkeys(effect.name for effect in touching))
@@ -367,7 +367,7 @@ def _with_size_raised_to_noise(
     return replace(effect, plausible_size_factor=factor) if factor > 1.0 else effect, factor
 
 
-def _dense_group(
+def _dense_designs(
     n_parameters: int, effect_indices: Sequence[int], transposed_designs: Floats32, row_indices: Ints
 ) -> EffectDesignGroup:
     """Group of h effects with k parameters and `transposed_designs` (h, k, r) for r equations `row_indices` (r,)."""
@@ -378,7 +378,7 @@ def _dense_group(
     )
 
 
-def _sparse_group(
+def _sparse_designs(
     n_parameters: int, indexed_designs: Sequence[tuple[int, Ints, Floats32]], n_rows: int
 ) -> EffectDesignGroup:
     """Group of effects with k parameters each that change only a few of the `n_rows` observation equations.

@@ -37,6 +37,7 @@ from ltsim.adjustment.structure import raise_for_singular_network
 from ltsim.calibration.prior_information import EarlierCalibrationPrior
 from ltsim.core.arrays import Bools
 from ltsim.core.limits import MAX_DIAGNOSED_POINTINGS, MAX_DIAGNOSED_TARGETS
+from ltsim.core.parallel import single_threaded
 from ltsim.diagnosis.assembly import assemble_diagnosis
 from ltsim.diagnosis.cross_validation import HeldOutErrors, cross_validated_errors
 from ltsim.diagnosis.detectability import detectability_report
@@ -67,7 +68,6 @@ from ltsim.physics.laws.responses import INSTRUMENT_CONSTANTS_BY_RESPONSE, instr
 from ltsim.physics.model.construction import GeometricErrorModel, declared_construction
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import ResultSource
-from ltsim.solve.threads import single_threaded
 
 MIN_UNEXPLAINED_INSTRUMENT_CONSTANT_DIFFERENCE_RATIO = 0.5
 """Smallest ratio at which the difference of an instrument constant from its reference is reported: the difference with
@@ -104,7 +104,7 @@ def diagnose(
     Returns
     -------
     Diagnosis
-        Verdict, findings with the largest decrease of chi-square first, misfit without and with the findings, and
+        Verdict, findings (errors of readings before changed noise), misfit without and with the findings, and
         undetectable effects.
 
     Raises

@@ -39,7 +39,7 @@ from ltsim.recordings.result_file import ResultFile
 
 @dataclass(frozen=True)
 class AveragedTargets(ValueEquality):
-    """Coordinates of T targets, averaged over the possible causes of the misfit of a recording (explanations)."""
+    """Coordinates of T targets and S stations, averaged over the possible causes of the misfit (explanations)."""
 
     points: Floats
     """Averaged coordinates (T, 3) [m] of T targets."""
@@ -51,6 +51,11 @@ class AveragedTargets(ValueEquality):
     causes.
 
     The squares of these differences are part of the covariance.
+    """
+    station_positions: Floats
+    """Averaged positions (S, 3) [m] of S stations."""
+    weighted_station_deviations_by_explanation: Floats
+    """Weighted differences (k, S, 3) [m] of the positions of S stations from their mean, for each of k possible causes.
     """
 
 
@@ -85,7 +90,7 @@ class Diagnosis(ResultFile):
     global_test: GlobalTest
     """Global test of the agreement of the recording with the ordinary model."""
     findings: tuple[Finding, ...] = ()
-    """Unmodelled causes that explain the misfit, the largest decrease of chi-square first."""
+    """Unmodelled causes that explain the misfit: probable errors of readings first, then changed noise."""
     tests: tuple[CauseTest, ...] = ()
     """Tests as in the results of `adjust` and `check`: simple causes (such as outliers or moved targets) that the
     readings support, and outliers."""

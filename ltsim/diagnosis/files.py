@@ -2,12 +2,18 @@
 
 from pathlib import Path
 
+import numpy as np
+
 from ltsim.adjustment.coordinate_uncertainty import (
     COVARIANCE_FILE_NAME,
-    coordinate_covariance_csv_text,
-    joint_covariance_due_to_air,
+    MAX_POINTS_IN_COVARIANCE_FILE,
+    named_covariance_csv_text,
+    point_names,
+    reported_joint_covariance,
 )
+from ltsim.calibration.files import POINT_FILE_NAMES, point_file_texts
 from ltsim.calibration.schema import RESIDUALS_TABLE
+from ltsim.core.errors import ModelError
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.schema import BASELINE_RESIDUALS_TABLE, DIAGNOSED_TARGETS_TABLE
 from ltsim.recordings.native import OBSERVATIONS_FILE, SETUP_FILE, recording_texts
@@ -21,38 +27,59 @@ COMPANION_FILE_NAMES = (
     COVARIANCE_FILE_NAME,
     RESIDUALS_TABLE.file,
     BASELINE_RESIDUALS_TABLE.file,
+    *POINT_FILE_NAMES,
     f"{RECORDING_FOLDER_NAME}/{OBSERVATIONS_FILE}",
     f"{RECORDING_FOLDER_NAME}/{SETUP_FILE}",
 )
 """Paths, within the folder of a diagnosis, of the files that are written with `diagnosis.json`."""
 
 
-def write_diagnosis(diagnosis: Diagnosis, folder: Path, recording: Recording | None = None) -> Diagnosis:
+def write_diagnosis(
+    diagnosis: Diagnosis, folder: Path, recording: Recording | None = None, *, with_stations: bool = False
+) -> Diagnosis:
     """Diagnosis with the digests of its companion files, after all files have been written to a folder.
 
     `targets.csv` contains the coordinates adjusted with the findings in the model, and `targets.covariance.csv` their
     joint covariance with the variance between possible causes. `residuals.csv` contains the residuals of this
     adjustment, and `residuals_before.csv` those of the ordinary adjustment. `recording/` contains the recording, if it
-    is given.
+    is given. With `with_stations`, `points.csv` and `points.covariance.csv` contain the targets and the stations.
 
     Raises
     ------
     RecordError
         When the folder cannot be written.
+    ModelError
+        When targets and stations are too many for a file with their joint covariance.
     """
     texts = {
         DIAGNOSED_TARGETS_TABLE.file: diagnosis.table("targets").csv_text(),
         RESIDUALS_TABLE.file: diagnosis.table("residuals").csv_text(),
         BASELINE_RESIDUALS_TABLE.file: diagnosis.table("residuals_before").csv_text(),
     }
-    covariance_due_to_air = joint_covariance_due_to_air(diagnosis.final_adjustment)
-    covariance = coordinate_covariance_csv_text(
-        diagnosis.final_adjustment,
-        diagnosis.targets.weighted_deviations_by_explanation,
-        added_covariance=covariance_due_to_air,
-    )
-    texts |= {} if covariance is None else {COVARIANCE_FILE_NAME: covariance}
+    adjustment, targets = diagnosis.final_adjustment, diagnosis.targets
+    if len(adjustment.recording.targets) <= MAX_POINTS_IN_COVARIANCE_FILE:
+        covariance = reported_joint_covariance(adjustment, targets.weighted_deviations_by_explanation)
+        texts[COVARIANCE_FILE_NAME] = named_covariance_csv_text(adjustment.recording.targets, covariance)
+    if with_stations:
+        texts |= _point_file_texts(diagnosis)
     if recording is not None:
         copied = recording_texts(recording, folder / RECORDING_FOLDER_NAME)
         texts |= {f"{RECORDING_FOLDER_NAME}/{name}": text for name, text in copied.items()}
     return write_result(folder, diagnosis, texts)
+
+
+def _point_file_texts(diagnosis: Diagnosis) -> dict[str, str]:
+    """Contents of the files with targets and stations and with their joint covariance, by name of the file.
+
+    Raises ModelError for too many points.
+    """
+    adjustment, targets = diagnosis.final_adjustment, diagnosis.targets
+    names = point_names(adjustment, with_stations=True)
+    if len(names) > MAX_POINTS_IN_COVARIANCE_FILE:
+        raise ModelError(
+            f"the joint covariance of targets and stations is for at most {MAX_POINTS_IN_COVARIANCE_FILE} points, and "
+            f"the network has {len(names)}"
+        )
+    deviations = [targets.weighted_deviations_by_explanation, targets.weighted_station_deviations_by_explanation]
+    covariance = reported_joint_covariance(adjustment, np.concatenate(deviations, axis=1), with_stations=True)
+    return point_file_texts(names, np.concatenate([targets.points, targets.station_positions]), covariance)

@@ -159,7 +159,7 @@ class SelectedModelFit:
         is_significant |= any(abs(size.value) > MIN_SIGNIFICANT_SIGMAS * size.sigma for size in size_estimates)
         p_same_scope = self.p_same_scope[effect_index]
         anywhere = FindingScope(covariates=covariate_names_in_files(effect.covariates))
-        is_specific = self._scope(effect) != anywhere or p_same_scope >= MIN_PROBABILITY_OF_PROBABLE_CAUSE
+        is_specific = self._scope_of_effect(effect) != anywhere or p_same_scope >= MIN_PROBABILITY_OF_PROBABLE_CAUSE
         if not (is_significant and is_specific):
             return 0.0
         p_not_wrong_readings = 1.0 - self.p_wrong_readings[effect_index]
@@ -180,7 +180,7 @@ class SelectedModelFit:
         `effect_index` is the index of the effect in the model.
         """
         effect = self.model.hypotheses[effect_index].effect
-        return not isinstance(effect, EmpiricalLaw) and bool(self._scope(effect).targets)
+        return not isinstance(effect, EmpiricalLaw) and bool(self._scope_of_effect(effect).targets)
 
     def _p_located(self, effect_index: int) -> float:
         """Probability of a cause with the scope (place, observables, covariates) of an effect, or wrong readings there.
@@ -236,7 +236,7 @@ class SelectedModelFit:
         design_columns, rows = space.whitened_design(effect), int(space.is_used_reading.sum())
         shift = design_columns @ coefficient_means
         projected_design = searcher.model_with([hypothesis]).projected_designs[0] @ coefficient_means
-        scope = self._scope(
+        scope = self._scope_of_effect(
             effect, observables_changed_by_effect(space.is_used_reading, shift[:rows], projected_design[:rows])
         )
         estimates = self._estimates_of_effect(effect_index, hypothesis, others)
@@ -316,7 +316,7 @@ class SelectedModelFit:
 
         def scope_of(candidate: CandidateEffect) -> FindingScope:
             """Scope (observables, place, covariates) of a candidate, for comparison with the selected effect."""
-            scope = self._scope(candidate)
+            scope = self._scope_of_effect(candidate)
             if scope.targets and not isinstance(effect, EmpiricalLaw):
                 return FindingScope(targets=scope.targets)
             return scope.model_copy(update={"observables": tuple(sorted(candidate.observables))})
@@ -326,7 +326,7 @@ class SelectedModelFit:
             lambda h: scope_of(h.effect) == scope
         )
 
-    def _scope(self, effect: CandidateEffect, default_observables: tuple[str, ...] = ()) -> FindingScope:
+    def _scope_of_effect(self, effect: CandidateEffect, default_observables: tuple[str, ...] = ()) -> FindingScope:
         """Scope of an effect: its observables, stations, targets or instrument, and covariates.
 
         An effect at all set-ups of one of several instruments has the instrument in place of the stations.

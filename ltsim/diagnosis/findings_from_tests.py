@@ -62,7 +62,6 @@ def axes_point_finding(test: ReferenceTest) -> Finding:
             chi2_drop=test.chi2_drop, parameters=test.rank, p_value=None, probability=MAX_P_OF_TEST_FINDINGS
         ),
         sentence=test.sentence[0].upper() + test.sentence[1:] + ".",
-        formula=f"the {DECLARED_COORDINATES_TEXT} of {test.name} are wrong",
         carrier=DECLARED_COORDINATES_TEXT,
     )
 
@@ -146,8 +145,8 @@ def cause_test_finding(test: CauseTest) -> Finding:
     estimates: tuple[ParameterEstimate, ...] = ()
     if test.estimate is not None:
         estimates = (ParameterEstimate(name="size", value=test.estimate, sigma=test.sigma or 0.0, unit=test.unit),)
-    formula = f"the {test.acts_on} of {', '.join((*test.where.stations, *test.where.targets))} is wrong"
     wrong = test.kind == "reference-value"
+    wrong_value = DECLARED_COORDINATES_TEXT if test.acts_on == "point" else f"reference {test.acts_on}"
     return Finding(
         effect=name,
         known=name != "unknown",
@@ -161,6 +160,5 @@ def cause_test_finding(test: CauseTest) -> Finding:
             EquivalentEffect(effect=EFFECT_NAME_BY_CAUSE.get((a.kind, "position"), a.kind), probability=a.probability)
             for a in test.alternatives
         ),
-        formula=formula if wrong else "",
-        carrier=f"reference {test.acts_on}" if wrong else "",
+        carrier=wrong_value if wrong else "",
     )

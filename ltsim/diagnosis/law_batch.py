@@ -240,7 +240,8 @@ class LawBatch:
         score, trials, _ = null_ensemble.split_products(scores)
         null = np.full((1, null_ensemble.n_trials), -np.inf)
         if null_ensemble.is_first_screening:
-            grams = null_ensemble.projected_gram(scores, self._unprojected_gram_matrices(columns))
+            unprojected = None if null_ensemble.uses_monte_carlo_gram else self._unprojected_gram_matrices(columns)
+            grams = null_ensemble.projected_gram(scores, unprojected)
             eigen_decompositions = self._scaled_eigen_decompositions(grams, regressor_range)
             self._cached_eigen_decompositions[regressor_range.start] = eigen_decompositions
             if null_ensemble.n_trials:

@@ -21,7 +21,7 @@ from ltsim.adjustment.significance import MIN_MEAN_REPEATS
 from ltsim.core.arrays import Ints
 from ltsim.core.units import MILLIMETRE
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
-from ltsim.physics.laws.centring import CentringVariance
+from ltsim.physics.laws.variance import CentringVariance
 from ltsim.recordings.centring_errors import CentringUncertainty, OccupationGrouping
 from ltsim.recordings.occupations import days_of_pointings, target_occupations
 from ltsim.recordings.recording import Recording

@@ -27,7 +27,7 @@ from ltsim.diagnosis.noise_groups import (
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
 from ltsim.diagnosis.repeats import added_variance_of_means, normalised_sum_matrix_of_repeats, redundancy_of_means
 from ltsim.physics.effects.linear_effect import CandidateNoiseEffect
-from ltsim.physics.laws.centring import CentringVariance
+from ltsim.physics.laws.variance import CentringVariance
 
 N_VARIANCE_GRID_VALUES = 7
 """Number of points of each grid on which the posterior distribution of a variance parameter is summed."""

@@ -115,7 +115,7 @@ class NullEnsemble:
         edge = 1 + self.n_trials
         return scores[..., 0], scores[..., 1:edge], scores[..., edge:]
 
-    def projected_gram(self, scores: Floats | Floats32, unprojected_gram: Floats) -> Floats:
+    def projected_gram(self, scores: Floats | Floats32, unprojected_gram: Floats | None) -> Floats:
         """Gram matrices (..., k, k) of the k design columns of an effect after projection onto the residual space.
 
         The residual space contains the whitened equations, projected off the unknowns.
@@ -125,15 +125,15 @@ class NullEnsemble:
         scores : (..., k, v) float
             Products of the columns with the v vectors of the ensemble (residuals, simulated residuals, basis), without
             effects in the model.
-        unprojected_gram : (..., k, k) float
-            Products of the columns with each other, without projection.
+        unprojected_gram : (..., k, k) float, or None
+            Products of the columns with each other, without projection; not used with `uses_monte_carlo_gram`, and may
+            then be None.
         """
         squares = gram_of_rows(self.split_products(scores)[2])
-        return (
-            squares / (self.probe_vectors.shape[1] - 1 - self.n_trials)
-            if self.uses_monte_carlo_gram
-            else unprojected_gram - squares
-        )
+        if self.uses_monte_carlo_gram:
+            return np.asarray(squares / (self.probe_vectors.shape[1] - 1 - self.n_trials))
+        assert unprojected_gram is not None
+        return np.asarray(unprojected_gram - squares)
 
 
 def parameter_basis_of_small_network(space: ResidualSpace) -> Floats | None:

@@ -20,6 +20,7 @@ from ltsim.adjustment.identification.hypothesis import (
 )
 from ltsim.adjustment.significance import (
     MAX_TRACKER_ERROR,
+    MIN_CERTAIN_ERROR_SIGMAS,
     MIN_GROSS_ERROR_SIGMAS,
 )
 from ltsim.core.arrays import Bools
@@ -32,7 +33,8 @@ from ltsim.recordings.recording import OBSERVABLES, Recording
 
 MIN_FAR_OUTLIER_SIGMAS = 8.0
 """Difference of an outlier from its prediction, in standard deviations, above which the outlier may be a single error.
-Readings with twice the declared noise do not reach this difference."""
+Readings with twice the declared noise do not reach this difference. If the noise is estimated, the limit is
+`MIN_CERTAIN_ERROR_SIGMAS`."""
 MAX_SINGLE_OUTLIERS_PER_PLACE = 2
 """Largest number of outliers of one observable at a station, or at a target, that count as single errors. More outliers
 may be the result of an effect."""
@@ -77,7 +79,9 @@ def single_error_mask(fit: NetworkFit) -> Bools:
     station or at one target, an effect may be the cause. `fit` is the adjustment with the outliers.
     """
     error = np.where(fit.is_outlier, np.abs(fit.whitened_residuals), 0.0) / fit.outlier_prediction_error_sigmas
-    isolated, gross = error > MIN_FAR_OUTLIER_SIGMAS, fit.is_gross_reading & (error > MIN_GROSS_ERROR_SIGMAS)
+    has_estimated_noise = any(isinstance(h.model_change, NoiseFactorChange) for h in fit.hypotheses)
+    limit = MIN_CERTAIN_ERROR_SIGMAS if has_estimated_noise else MIN_FAR_OUTLIER_SIGMAS
+    isolated, gross = error > limit, fit.is_gross_reading & (error > MIN_GROSS_ERROR_SIGMAS)
     for place in (fit.recording.station, fit.recording.target):
         count = np.stack([np.bincount(place, fit.is_outlier[:, k], place.max() + 1) for k in range(3)], axis=1)
         isolated &= count[place] <= MAX_SINGLE_OUTLIERS_PER_PLACE

@@ -9,9 +9,18 @@ from ltsim.physics.effects import catalogue_entry, effect_title, find_effect
 CAUSE_KIND_BY_EFFECT_NAME = {
     "reflector-constant": "constant-offset",
     "range-step": "constant-step",
+    "range-drift": "constant-drift",
+    "index-drift": "constant-drift",
+    "azimuth-drift": "constant-drift",
+    "station-weather": "scale-error",
     "smr-offset": "reflector-radius",
+    "nest-lift": "reflector-seating",
     "target-moved": "target-moved",
+    "station-bump": "station-bump",
+    "station-settling": "station-settling",
     "target-swap": "names",
+    "wrong-unit": "unit",
+    "outlier": "outlier",
 }
 """Kind of the simple cause (such as outliers or moved targets) whose recommended action is used after a finding, by the
 name of the catalogue effect."""

@@ -315,7 +315,7 @@ class Searcher:
         begin = self.model_after_exchanges(self.model_with(start_hypotheses))
         best_model = self._forward_selection(begin, requires_effect=requires_effect)
         is_simple = [len(h.plausible_sizes) <= MAX_COEFFICIENTS_OF_SIMPLE_EFFECT for h in best_model.hypotheses]
-        if not self.uses_fewer_evaluations and not all(is_simple):
+        if not all(is_simple):
             ranked = self.ranking(self.empty_model).hypotheses
             simple = [h for h in ranked if len(h.plausible_sizes) <= MAX_COEFFICIENTS_OF_SIMPLE_EFFECT][:1]
             models = [

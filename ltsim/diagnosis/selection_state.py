@@ -23,7 +23,7 @@ from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
 from ltsim.diagnosis.null_ensemble import n_simulated_recordings
 from ltsim.diagnosis.search import Searcher
 from ltsim.physics.effects.linear_effect import CandidateEffect, LinearEffect
-from ltsim.physics.laws.centring import CentringVariance
+from ltsim.physics.laws.variance import CentringVariance
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
 

@@ -69,8 +69,10 @@ def place_text(scope: FindingScope) -> str:
 
 
 def percent_text(probability: float) -> str:
-    """Text of a probability in percent, at most ``> 99 %``."""
-    return "> 99 %" if probability > 0.99 else f"{100 * probability:.0f} %"
+    """Text of a probability in percent, from ``< 1 %`` to ``> 99 %``."""
+    if probability > 0.99:
+        return "> 99 %"
+    return "< 1 %" if probability < 0.01 else f"{100 * probability:.0f} %"
 
 
 def catalogue_effect_sentence(

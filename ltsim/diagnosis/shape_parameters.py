@@ -34,7 +34,7 @@ N_GRID_REFINEMENTS = 2
 """Number of refinements of the grid of a shape parameter around its optimum."""
 
 
-def _dense_grid(shape: ShapeParameter, estimate: float, sigma: float, n_nodes: int) -> tuple[Floats, Floats]:
+def _shape_parameter_grid(shape: ShapeParameter, estimate: float, sigma: float, n_nodes: int) -> tuple[Floats, Floats]:
     """Grid of q values (q,) of a shape parameter within its bounds, and the widths (q,) of the cells of the grid.
 
     `shape` defines the shape parameter. The grid has `n_nodes` values over the bounds, and is denser within four
@@ -205,7 +205,7 @@ def shape_parameter_nodes(
         return []
     n_grid_values = 33 if len(shape_parameters) == 1 and not near else 15
     axes = [
-        _dense_grid(s, float(vars(effect)[s.name]), shape_parameter_sigmas.get(s.name, 0.0), n_grid_values)
+        _shape_parameter_grid(s, float(vars(effect)[s.name]), shape_parameter_sigmas.get(s.name, 0.0), n_grid_values)
         for s in shape_parameters
     ]
     plausible_sizes = effect.plausible_sizes

@@ -26,31 +26,28 @@ elementary motion, (n,)."""
 
 
 @dataclass(frozen=True)
-class RotationStep:
+class MotionStep:
+    """Step of a kinematic chain along or about a coordinate axis, by a nominal amount plus an error.
+
+    The amount is an angle [rad] for a rotation and a length [m] for a translation.
+    """
+
+    axis: int
+    """Coordinate axis of the motion: 0 x, 1 y, 2 z."""
+    error_key: str = ""
+    """Key of the motion's error in the mapping `errors`; empty for a motion without error."""
+    motion_amount_function: MotionAmountFunction | None = None
+    """Nominal amount [rad or m] as a function of the raw readings; None for a nominal amount of zero."""
+    amount_factor: float = 1.0
+    """Factor by which nominal amount plus error is multiplied: +1, -1, or a ratio such as `MIRROR_ROTATION_RATIO`."""
+
+
+class RotationStep(MotionStep):
     """Step of a kinematic chain: rotation by `amount_factor` times the sum of a nominal angle and an error [rad]."""
 
-    axis: int
-    """Coordinate axis of the rotation: 0 x, 1 y, 2 z."""
-    error_key: str = ""
-    """Key of the rotation's error in the mapping `errors`; empty for a rotation without error."""
-    motion_amount_function: MotionAmountFunction | None = None
-    """Nominal angle [rad] as a function of the raw readings; None for a nominal angle of zero."""
-    amount_factor: float = 1.0
-    """Factor by which nominal angle plus error is multiplied: +1, -1, or a ratio such as `MIRROR_ROTATION_RATIO`."""
 
-
-@dataclass(frozen=True)
-class TranslationStep:
+class TranslationStep(MotionStep):
     """Step of a kinematic chain: translation by `amount_factor` times the sum of a nominal length and an error [m]."""
-
-    axis: int
-    """Coordinate axis of the translation: 0 x, 1 y, 2 z."""
-    error_key: str = ""
-    """Key of the translation's error in the mapping `errors`; empty for a translation without error."""
-    motion_amount_function: MotionAmountFunction | None = None
-    """Nominal length [m] as a function of the raw readings; None for a nominal length of zero."""
-    amount_factor: float = 1.0
-    """Factor by which nominal length plus error is multiplied, +1 or -1."""
 
 
 ElementaryMotion = RotationStep | TranslationStep

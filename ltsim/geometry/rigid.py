@@ -5,7 +5,7 @@ from itertools import combinations
 
 import numpy as np
 
-from ltsim.core.arrays import Bools, Floats, median
+from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import NetworkError
 
 
@@ -145,13 +145,13 @@ def determines_pose(
 
 
 MAX_REWEIGHTING_PASSES = 8
-"""Largest number of reweighted least-squares fits in `align_robustly`."""
+"""Largest number of reweighted least-squares fits in `align_sets_robustly`."""
 MAX_LARGEST_TO_MEDIAN_DISTANCE_RATIO = 8.0
 """Ratio of the largest to the median distance between aligned points and their goals, below which the reweighting ends,
 because no point is an outlier."""
 MAX_OUTLIER_FREE_MISFIT = 1e-4
-"""Mean distance [m] between points and their goals after a least-squares alignment, above which `align_robustly` also
-starts from triples of points, because an outlier may have distorted this alignment. 0.1 mm is sufficient for start
+"""Mean distance [m] between points and their goals after a least-squares alignment, above which `align_sets_robustly`
+also starts from triples of points, because an outlier may have distorted this alignment. 0.1 mm is sufficient for start
 values of an adjustment."""
 MAX_POINTS_FOR_ALL_TRIPLES = 6
 """Largest number of points at which a robust alignment starts from every triple of points, not only from some."""
@@ -216,19 +216,20 @@ def _weighted_alignment(
     """Rotation (..., 3, 3), shift (..., 3) [m], scale (...) of an alignment, and True (...) if the points determine it.
 
     `points` (..., n, 3) [m] are aligned with `goal_points` (..., n, 3) [m] by least squares with the weights `weight`
-    (n,). Points on one line do not determine the rotation.
+    (n,) or (..., n). Points on one line do not determine the rotation.
     """
-    weight = weight / weight.sum()
-    centre, goal_centre = weight @ points, weight @ goal_points
+    weight = weight / weight.sum(axis=-1, keepdims=True)
+    centre, goal_centre = ((weight[..., None, :] @ of)[..., 0, :] for of in (points, goal_points))
     centred_points = points - centre[..., None, :]
-    moment = np.swapaxes(weight[:, None] * (goal_points - goal_centre[..., None, :]), -1, -2) @ centred_points
+    moment = np.swapaxes(weight[..., None] * (goal_points - goal_centre[..., None, :]), -1, -2) @ centred_points
     u, spread, vt = np.linalg.svd(moment)
     reflection_signs = np.ones_like(spread)
     reflection_signs[..., 2] = np.sign(np.linalg.det(u @ vt))
     rotation = (u * reflection_signs[..., None, :]) @ vt
     scale = np.ones(moment.shape[:-2])
     if estimates_scale:
-        scale = np.sum(spread * reflection_signs, axis=-1) / np.sum(weight[:, None] * centred_points**2, axis=(-2, -1))
+        extent = np.sum(weight[..., None] * centred_points**2, axis=(-2, -1))
+        scale = np.sum(spread * reflection_signs, axis=-1) / extent
     shift = goal_centre - scale[..., None] * np.einsum("...ij,...j->...i", rotation, centre)
     return rotation, shift, scale, np.asarray(spread[..., 1] > 1e-9 * spread[..., 0])
 
@@ -236,34 +237,54 @@ def _weighted_alignment(
 def align_robustly(points: Floats, goal_points: Floats) -> tuple[Floats, Floats]:
     """Rotation (3, 3) and translation (3,) [m] that move n points (n, 3) onto their goals despite a few outliers.
 
-    The alignment minimises the sum of the distances between moved points and goals by iterative reweighting. With
+    The method is that of `align_sets_robustly`. Raises NetworkError for fewer than three points, or for points on one
+    line.
+    """
+    if len(points) < 4:
+        return align_rigidly(points, goal_points)
+    rotation, shift, is_determined = align_sets_robustly(points[None], goal_points[None])
+    if not is_determined[0]:
+        raise NetworkError("the alignment of two point sets needs three common points that are not on one line")
+    return rotation[0], shift[0]
+
+
+def align_sets_robustly(points: Floats, goal_points: Floats) -> tuple[Floats, Floats, Bools]:
+    """Rotations (b, 3, 3), shifts (b, 3) [m] that move b sets of points onto their goals, and flags (b,) of success.
+
+    Each alignment minimises the sum of the distances between moved points and goals by iterative reweighting. With
     outliers this sum has several local minima. Reweighting therefore starts at the best of several alignments, by least
     squares of all points and of triples of points: the one with the smallest sum of the logarithms of all distances.
 
-    Raises NetworkError for fewer than three points, or for points on one line.
+    Parameters
+    ----------
+    points, goal_points : (b, n, 3) float, [m]
+        The n points of each set, at least four, and their goals. The flag of a set on one line is False.
     """
-    best_alignment = align_rigidly(points, goal_points)
-    if len(points) < 4:
-        return best_alignment
-    residual_distances = _alignment_residual_distances(points, goal_points, best_alignment)
-    if residual_distances.mean() > MAX_OUTLIER_FREE_MISFIT:
-        triples = _point_triples(len(points))
-        rotation, shift, _, is_determined = _weighted_alignment(points[triples], goal_points[triples], np.ones(3))
-        log_distance_sums = _sum_of_log_distances(_alignment_residual_distances(points, goal_points, (rotation, shift)))
-        log_distance_sums[~is_determined] = np.inf
-        k = int(np.argmin(log_distance_sums))
-        best_alignment = (
-            (rotation[k], shift[k])
-            if log_distance_sums[k] < _sum_of_log_distances(residual_distances)
-            else best_alignment
-        )
+    size = points.shape[1]
+    rotation, shift, _, is_determined = _weighted_alignment(points, goal_points, np.ones(size))
+    distances = _alignment_residual_distances(points, goal_points, (rotation, shift))
+    triples = _point_triples(size)
+    for k in np.flatnonzero(is_determined & (distances.mean(axis=1) > MAX_OUTLIER_FREE_MISFIT)).tolist():
+        rotations, shifts, _, is_unique = _weighted_alignment(points[k][triples], goal_points[k][triples], np.ones(3))
+        sums = _sum_of_log_distances(_alignment_residual_distances(points[k], goal_points[k], (rotations, shifts)))
+        sums[~is_unique] = np.inf
+        best = int(np.argmin(sums))
+        if sums[best] < _sum_of_log_distances(distances[k]):
+            rotation[k], shift[k] = rotations[best], shifts[best]
+    active = np.flatnonzero(is_determined)
     for _ in range(MAX_REWEIGHTING_PASSES):
-        residual_distances = _alignment_residual_distances(points, goal_points, best_alignment)
-        floor = max(1e-5, 0.5 * median(residual_distances))
-        best_alignment = align_rigidly(points, goal_points, 1.0 / np.maximum(residual_distances, floor))
-        if residual_distances.max() < MAX_LARGEST_TO_MEDIAN_DISTANCE_RATIO * floor:
+        if not len(active):
             break
-    return best_alignment
+        here, there = points[active], goal_points[active]
+        distances = _alignment_residual_distances(here, there, (rotation[active], shift[active]))
+        ascending = np.sort(distances, axis=1)
+        floor = np.maximum(1e-5, 0.25 * (ascending[:, (size - 1) // 2] + ascending[:, size // 2]))
+        rotation[active], shift[active], _, is_determined[active] = _weighted_alignment(
+            here, there, 1.0 / np.maximum(distances, floor[:, None])
+        )
+        ends = (ascending[:, -1] < MAX_LARGEST_TO_MEDIAN_DISTANCE_RATIO * floor) | ~is_determined[active]
+        active = active[~ends]
+    return rotation, shift, is_determined
 
 
 def largest_alignment_distance(points: Floats, goal_points: Floats) -> float:

@@ -53,7 +53,7 @@ class WhitenedDifferences:
         return coordinate_indices(points, self.n_axes)
 
     def blocks(self, columns: Floats) -> Floats:
-        """Copy of the array `columns` (m, N axes) as one block for each of N points, shape (N, axes, m)."""
+        """Columns (m, N axes) of a design matrix, rearranged as one block for each of N points, shape (N, axes, m)."""
         return columns.T.reshape(-1, self.n_axes, len(columns))
 
     def fit(self, moved: Sequence[int]) -> "DisplacementFit":
@@ -141,7 +141,7 @@ class PointTests:
         return np.asarray(self._eigensystem[0].min(axis=1) > MIN_EIGENVALUE)
 
     @cached_property
-    def _root(self) -> Floats:
+    def _covariance_root(self) -> Floats:
         """Matrices S with S S^T = covariance of the displacement, shape (N, axes, axes)."""
         values, vectors, scale = self._eigensystem
         root = np.where(values > MIN_EIGENVALUE, 1.0 / np.sqrt(np.maximum(values, MIN_EIGENVALUE)), 0.0)
@@ -150,12 +150,12 @@ class PointTests:
     @cached_property
     def chi2_drops(self) -> Floats:
         """Reductions of the sum of squared residuals by an additional displacement of each point, shape (N,)."""
-        return np.square(np.einsum("nab,na->nb", self._root, self.gradients)).sum(axis=1)
+        return np.square(np.einsum("nab,na->nb", self._covariance_root, self.gradients)).sum(axis=1)
 
     @cached_property
     def covariances(self) -> Floats:
         """Covariance of the displacement of each point, shape (N, axes, axes); 0 along undetermined directions."""
-        return self._root @ self._root.transpose(0, 2, 1)
+        return self._covariance_root @ self._covariance_root.transpose(0, 2, 1)
 
     @cached_property
     def values(self) -> Floats:
@@ -178,7 +178,7 @@ class DisplacementFit:
         return design / norms, norms
 
     @cached_property
-    def _triangle(self) -> tuple[Floats, Floats] | None:
+    def _qr_factors(self) -> tuple[Floats, Floats] | None:
         """Orthonormal and triangular factor of the scaled design; None if it has not full rank."""
         design, _ = self._scaled_design
         if design.shape[1] > len(design):
@@ -189,8 +189,8 @@ class DisplacementFit:
     @cached_property
     def basis(self) -> Floats:
         """Orthonormal basis of the column space of the whitened design, shape (m, rank)."""
-        if self._triangle is not None:
-            return self._triangle[0]
+        if self._qr_factors is not None:
+            return self._qr_factors[0]
         return np.asarray(scipy.linalg.orth(self._scaled_design[0]))
 
     @property
@@ -203,10 +203,10 @@ class DisplacementFit:
     def estimate(self) -> tuple[Floats, Floats]:
         """Estimates (q,) of the free motions and then of the displacements, and their covariance (q, q)."""
         design, norms = self._scaled_design
-        if self._triangle is None:
+        if self._qr_factors is None:
             values, covariance = _shortest_estimate(design, self.data.observations)
             return values / norms, covariance / np.outer(norms, norms)
-        basis, triangle = self._triangle
+        basis, triangle = self._qr_factors
         root = scipy.linalg.solve_triangular(triangle, np.eye(len(triangle))) / norms[:, None]
         return root @ (basis.T @ self.data.observations), root @ root.T
 

@@ -25,6 +25,7 @@ from ltsim.core.notation import names_text
 from ltsim.core.rounding import SQRT_MACHINE_EPSILON
 from ltsim.geometry.rigid import align_rigidly, rigid_motion_jacobian
 from ltsim.measurands.comparison import Comparison, EpochDifference, congruence_test
+from ltsim.measurands.coordinate_lists import matched_lists
 from ltsim.measurands.displacement_fit import coordinate_indices
 from ltsim.measurands.inputs import (
     CONTROL_POINTS_SOURCE_NAME,
@@ -32,11 +33,10 @@ from ltsim.measurands.inputs import (
     REFERENCE_LENGTHS_SOURCE_NAME,
     observation_uncertainty_sources,
 )
-from ltsim.recordings.coordinates import EpochCoordinates
+from ltsim.recordings.epoch_coordinates import EpochCoordinates
 from ltsim.recordings.references import EXPANSION_ERROR_PREFIX
 from ltsim.recordings.result_file import ResultSource
 from ltsim.recordings.setup import LengthGauge
-from ltsim.recordings.tables.setups import normalised_name
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 ALL_AXIS_INDICES = np.arange(3)
@@ -74,11 +74,7 @@ def compare_coordinates(
     `stable_names` are points that are certain not to have moved. `with_scale` estimates a scale of the second list.
     `alpha` is the significance level for all points together. Errors are those of `lt.compare`.
     """
-    if first.axes != second.axes:
-        raise ModelError(
-            f"the first list has the axes {first.axes}, the second {second.axes}; the axes must be the same"
-        )
-    second, renamed = _with_names_spelled_as(second, first.names)
+    first, second, match_notes = matched_lists(first, second)
     common_names = [name for name in first.names if name in second.names]
     open_ = [np.eye(6) if has_free_motions else free_motions_of_epoch(epoch) for epoch in (first, second)]
     is_open = with_scale or any(motions.shape[1] for motions in open_)
@@ -90,7 +86,7 @@ def compare_coordinates(
         for epoch, motions in zip((first, second), open_, strict=True)
     )
     n_open = 0 if has_free_motions else max(motions.shape[1] for motions in open_)
-    notes = [*renamed, *([undetermined_motions_note(n_open)] if n_open else [])]
+    notes = [*match_notes, *([undetermined_motions_note(n_open)] if n_open else [])]
     sources = ResultSource.from_coordinates(first), ResultSource.from_coordinates(second)
     stable_mask = stable_points & (stable_names is not None)
     result = _compare_epochs(
@@ -104,23 +100,6 @@ def compare_coordinates(
             first, second, stable_names=stable_names, has_free_motions=True, with_scale=with_scale, alpha=alpha
         ),
     )
-
-
-def _with_names_spelled_as(epoch: EpochCoordinates, names: Sequence[str]) -> tuple[EpochCoordinates, list[str]]:
-    """Epoch with point names spelled as in `names` if only case, blanks or leading zeros differ, and a note on this."""
-    spellings = {normalised_name(name): name for name in names if name not in epoch.names}
-    unmatched_names = [name for name in epoch.names if name not in names]
-    normalised = [normalised_name(name) for name in unmatched_names]
-    changed = {
-        name: spellings[key]
-        for name, key in zip(unmatched_names, normalised, strict=True)
-        if key in spellings and normalised.count(key) == 1
-    }
-    if not changed:
-        return epoch, []
-    renaming_text = names_text([f"'{name}' and '{first}'" for name, first in changed.items()])
-    note = f"names that differ only in case, blanks or leading zeros are the same point: {renaming_text}"
-    return replace(epoch, names=tuple(changed.get(name, name) for name in epoch.names)), [note]
 
 
 def _with_rigid_motion_note(comparison: Comparison, compare_with_free_motions: Callable[[], Comparison]) -> Comparison:

@@ -10,6 +10,7 @@ from ltsim.calibration.result import frame_text
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import ModelError
 from ltsim.core.limits import MAX_UNCERTAINTY_TASK_RESULTS
+from ltsim.core.parallel import single_threaded
 from ltsim.measurands.inputs import TaskInputs
 from ltsim.measurands.measurands import Measurand, TaskOutput
 from ltsim.measurands.propagation import (
@@ -31,10 +32,9 @@ from ltsim.measurands.uncertainty import (
     Uncertainty,
     evaluate_conformity,
 )
-from ltsim.recordings.coordinates import EpochCoordinates
+from ltsim.recordings.epoch_coordinates import EpochCoordinates
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import ResultSource
-from ltsim.solve.threads import single_threaded
 
 
 @dataclass(frozen=True, repr=False)

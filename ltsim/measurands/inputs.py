@@ -31,7 +31,7 @@ from ltsim.physics.effects.station_weather import StationWeather
 from ltsim.physics.effects.verbs import make_effect
 from ltsim.physics.model.construction import declared_construction, ideal_construction
 from ltsim.recordings.air import AirUncertainty
-from ltsim.recordings.coordinates import EpochCoordinates
+from ltsim.recordings.epoch_coordinates import EpochCoordinates
 from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.recordings.reflectors import smr_names
 
@@ -106,7 +106,7 @@ class TaskInputs(ValueEquality):
 
     @classmethod
     def from_recording(cls, recording: Recording, tasks: Tasks) -> Self:
-        """Points of the tasks from the adjustment of a recording, with the sources of their uncertainty.
+        """Points that tasks use, from the adjustment of a recording, with the sources of their uncertainty.
 
         Raises NetworkError or ConvergenceError if the network cannot be solved, ModelError or InputError for an unknown
         target or effect.

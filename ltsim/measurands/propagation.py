@@ -27,7 +27,7 @@ from ltsim.geometry.expansion import ThermalExpansion
 from ltsim.measurands.inputs import RANDOM_STREAM_KEY_BY_SOURCE, TaskInputs
 from ltsim.measurands.measurands import Measurand
 from ltsim.measurands.spec import MonteCarloSettings, PartExpansion
-from ltsim.recordings.coordinates import EpochCoordinates
+from ltsim.recordings.epoch_coordinates import EpochCoordinates
 
 N_NONLINEARITY_DRAWS = 8
 """Number of random draws of errors with which the exact and the linearised adjustment are compared."""

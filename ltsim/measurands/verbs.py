@@ -14,7 +14,8 @@ from ltsim.measurands.spec import TASKS_FORMAT, Tasks, load_tasks, validate_task
 from ltsim.measurands.uncertainty import Uncertainty
 from ltsim.physics.effects.verbs import name_tuple
 from ltsim.physics.model.construction import declared_construction, ideal_construction
-from ltsim.recordings.coordinates import EpochCoordinates, is_coordinate_file, read_coordinates
+from ltsim.recordings.coordinates import is_coordinate_file, read_coordinates
+from ltsim.recordings.epoch_coordinates import EpochCoordinates
 from ltsim.recordings.exchange import RecordingSource, load_recording
 from ltsim.recordings.recording import Recording
 
@@ -62,7 +63,7 @@ def uncertainty(
         given = load_tasks(Path(tasks))
     if seed is not None:
         given = given.model_copy(update={"monte_carlo": given.monte_carlo.model_copy(update={"seed": seed})})
-    coordinates = _load_coordinates(recording)
+    coordinates = _load_coordinates(recording, allows_fixed=True)
     if coordinates is not None:
         return evaluate_tasks_on_coordinates(coordinates, given).to_result
     return evaluate_tasks(load_recording(recording), given).to_result  # type: ignore[arg-type]
@@ -99,7 +100,7 @@ def compare(
     calibrate : bool
         True to estimate the instrument parameters in each recording.
     robust : bool
-        True to exclude outliers; each excluded reading is tested again at the end.
+        True to exclude outlying readings; each excluded reading is tested again at the end.
     level : float
         Significance level: probability that at least one point is reported as moved although none moved.
 
@@ -175,10 +176,17 @@ def compare(
     )
 
 
-def _load_coordinates(source: RecordingSource | EpochCoordinates) -> EpochCoordinates | None:
-    """List of coordinates, read from the file `source` if it is the path of such a list; None for a recording."""
+def _load_coordinates(
+    source: RecordingSource | EpochCoordinates, *, allows_fixed: bool = False
+) -> EpochCoordinates | None:
+    """List of coordinates, read from the file `source` if it is the path of such a list; None for a recording.
+
+    With `allows_fixed`, coordinates that define the frame may have the variance 0.
+    """
     if isinstance(source, EpochCoordinates):
         return source
     return (
-        read_coordinates(Path(source)) if isinstance(source, str | Path) and is_coordinate_file(Path(source)) else None
+        read_coordinates(Path(source), allows_fixed=allows_fixed)
+        if isinstance(source, str | Path) and is_coordinate_file(Path(source))
+        else None
     )

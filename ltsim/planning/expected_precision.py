@@ -81,10 +81,7 @@ class ExpectedPrecision:
 
     @property
     def covariance_in_prior_sigmas(self) -> Floats:
-        """Expected covariance matrix (p, p) of the p instrument parameters, each in units of its prior sigma.
-
-        A survey without readings has the identity matrix.
-        """
+        """Covariance matrix (p, p) of the p instrument parameters in prior sigmas; the identity without readings."""
         return self.instrument_covariance / np.outer(self.prior_sigma, self.prior_sigma)
 
     @cached_property
@@ -160,6 +157,8 @@ ANGLE_NOISE_GROUP_NAME = "angle noise"
 """Name of the error group that holds the noise of azimuths and elevations."""
 REFERENCE_LENGTHS_GROUP_NAME = "gauge lengths"
 """Name of the error group with the errors of the reference lengths of the gauge (reflectors at known distances)."""
+N_QUADRATURE_NODES = 48
+"""Number of nodes of the quadrature for the expected length of a vector, which is accurate to about 1e-6."""
 REFLECTORS_GROUP_NAME = "reflectors"
 """Name of the error group that holds the errors of reflectors, which depend on the angle of incidence."""
 
@@ -272,20 +271,20 @@ def _mean_expected_vector_length(variance_factors: Floats, group_covariances: Fl
     return np.concatenate(means)
 
 
-def expected_vector_length(variances: Floats, n_nodes: int = 48) -> Floats:
+def expected_vector_length(variances: Floats) -> Floats:
     """Expected length (...) of normally distributed vectors with variances (..., 3) along their principal axes.
 
-    The accuracy is about 1e-6. With q the squared length of a vector, E sqrt(q) = 1 / (2 sqrt(pi)) integral of (1 - E
+    With q the squared length of a vector, E sqrt(q) = 1 / (2 sqrt(pi)) integral of (1 - E
     exp(-t q)) t^(-3/2) dt over t > 0. E exp(-t q) is the product over the axes of (1 + 2 t variance)^(-1/2). The
     substitution t = (x / (1 - x))^2 / (total variance) maps t to x between 0 and 1; the integral over x is computed by
-    Gauss-Legendre quadrature with `n_nodes` nodes.
+    Gauss-Legendre quadrature.
     """
     total_variance = np.maximum(variances.sum(axis=-1, keepdims=True), np.finfo(np.float64).tiny)
     variance_fractions = np.maximum(variances, 0.0) / total_variance
-    at, weight = np.polynomial.legendre.leggauss(n_nodes)
+    at, weight = np.polynomial.legendre.leggauss(N_QUADRATURE_NODES)
     x, weight = 0.5 * (at + 1.0), 0.5 * weight
     root = x / (1.0 - x)
-    product = np.ones((*variance_fractions.shape[:-1], n_nodes))
+    product = np.ones((*variance_fractions.shape[:-1], N_QUADRATURE_NODES))
     for axis in range(3):
         product /= np.sqrt(1.0 + 2.0 * variance_fractions[..., axis, None] * root**2)
     mean_length: Floats = ((1.0 - product) / root**2 * (weight / (1.0 - x) ** 2)).sum(axis=-1) / np.sqrt(np.pi)

@@ -15,14 +15,14 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import InputError, RecordError, reraise_as_input_error
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.effects import CATALOGUE
-from ltsim.planning.search_space import MIN_VISIBLE_TARGETS_PER_STATION
+from ltsim.planning.layout_rules import ClearanceRule, SpacingRule, floor_rules, meets_all
 from ltsim.planning.spec import WALLS_NAME, PlanFile, PlanPoint
 from ltsim.planning.station_placement import StationPlacement
 from ltsim.recordings.coordinates import PointList, read_points as read_coordinates
 from ltsim.recordings.files import parse_comma_number, safe_excerpt
 from ltsim.recordings.settings import read_toml, validate_settings
 from ltsim.scene.clearance import StandClearance
-from ltsim.scene.floor import areas_and_keep_outs, grid_over_area, is_allowed_position, tripod_grid_spacing
+from ltsim.scene.floor import areas_and_keep_outs, grid_over_area, tripod_grid_spacing
 from ltsim.scene.visibility import compute_visibility
 from ltsim.simulation.builtin import builtin_names
 from ltsim.simulation.scenario import SCENARIO_FORMAT, Scenario, load_scenario, validate_scenario
@@ -61,7 +61,7 @@ def builtin_plan_text(name: str) -> str:
     """
     path = BUILTIN_PLAN_FOLDER / f"{name}.toml"
     if not path.is_file():
-        similar = _suggestion(name, builtin_plan_names())
+        similar = _similar_names_clause(name, builtin_plan_names())
         raise InputError(f"{safe_excerpt(name)}: there is no built-in plan of this name; {similar}")
     return path.read_text(encoding="utf-8")
 
@@ -77,7 +77,7 @@ def load_plan(name_or_path: str | Path) -> tuple[PlanFile, Scenario]:
     if not path.is_file():
         if name in builtin_names():
             return PlanFile(scenario=name), load_scenario(name)
-        similar = _suggestion(name, builtin_plan_names())
+        similar = _similar_names_clause(name, builtin_plan_names())
         raise InputError(f"{safe_excerpt(name)}: there is no such file, and no built-in plan of this name; {similar}")
     with reraise_as_input_error():
         data = read_toml(path, "plan")
@@ -93,7 +93,7 @@ def load_plan(name_or_path: str | Path) -> tuple[PlanFile, Scenario]:
     return made, scenario
 
 
-def _suggestion(name: str, candidates: Sequence[str]) -> str:
+def _similar_names_clause(name: str, candidates: Sequence[str]) -> str:
     """Clause for an error about an unknown `name`, which asks for the most similar names among `candidates`."""
     names = ", ".join(difflib.get_close_matches(name, candidates, n=3, cutoff=0.4) or candidates[:8])
     return f"did you mean {names}?" if names else "no name is defined here"
@@ -156,7 +156,7 @@ def _check_names(plan_file: PlanFile, scenario: Scenario, file: object) -> None:
     ):
         for name in wanted:
             if name not in names:
-                similar = _suggestion(name, names)
+                similar = _similar_names_clause(name, names)
                 raise InputError(f"{file}: {key} names '{safe_excerpt(name)}', which does not exist; {similar}")
     new_names = [p.name for p in plan_file.reflectors.places] + [s.name for s in plan_file.reflectors.surfaces]
     targets = frozenset(scenario.target_names)
@@ -232,7 +232,7 @@ def _point_from_table(table: PointList, row: int, path: Path) -> PlanPoint:
     place = dict(zip(("x_mm", "y_mm", "z_mm"), (table.points[row] / MILLIMETRE).round(9).tolist(), strict=True))
     missing = next((column for column, value in place.items() if not math.isfinite(value)), None)
     if missing:
-        raise RecordError("found nothing, expected a number", column=missing, **location)
+        raise RecordError("the value is missing, expected a number", column=missing, **location)
     group = table.additional_columns["group"][row] if "group" in table.additional_columns else ""
     other_fields = {"weight": optional_number("weight", 1.0), "tolerance_mm": optional_number("tolerance_mm", None)}
     try:
@@ -336,9 +336,10 @@ def _initial_station_positions(plan_file: PlanFile, scenario: Scenario, n_statio
     grid = np.concatenate(
         [grid_over_area(area, tripod_grid_spacing(areas, plan_file.search.grid_step_mm), 1) for area in areas]
     )
-    grid = grid[is_allowed_position(areas, keep_outs, obstacles, grid)]
+    rules = floor_rules(areas, keep_outs, obstacles)
     if obstacles is not None:
-        grid = grid[StandClearance(obstacles, plan_file.stations.clearance_mm * MILLIMETRE).has_room(grid)]
+        rules = (*rules, ClearanceRule(StandClearance(obstacles, plan_file.stations.clearance_mm * MILLIMETRE)))
+    grid = grid[meets_all(rules, grid)]
     if not len(grid):
         raise InputError(
             "the floor has no place for a tripod; enlarge the floor, move obstacles, or reduce search.grid_step_mm "
@@ -347,11 +348,8 @@ def _initial_station_positions(plan_file: PlanFile, scenario: Scenario, n_statio
     visible = compute_visibility(
         grid, points, make_sight_limits(scenario, scenario.instrument), obstacles=obstacles
     ).is_visible
-    useful = visible.sum(axis=1) >= MIN_VISIBLE_TARGETS_PER_STATION
-    if not useful.any():
-        raise InputError("no position on the floor sees three points; enlarge the floor, or move obstacles")
     spacing, none = plan_file.stations.spacing_mm * MILLIMETRE, np.zeros(len(points), dtype=np.int64)
-    placement = StationPlacement(grid[useful], visible[useful], spacing, np.zeros((0, 3)), none)
+    placement = StationPlacement.from_grid(grid, visible, SpacingRule(spacing), np.zeros((0, 3)), none)
     chosen = placement.place_stations(n_stations, 1)
     if len(chosen) < n_stations:
         raise InputError(

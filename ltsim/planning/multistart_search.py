@@ -131,7 +131,7 @@ def run_searches(
     jobs = min(jobs, len(tasks))
     work = ((problem, task, n, *(callbacks_of_task(n) if jobs == 1 else ())) for n, task in enumerate(tasks))
     try:
-        for number, layout in run_parallel(_layout_of_start, work, jobs, keeps_order=False):
+        for number, layout in run_parallel(_search_result_of_task, work, jobs, keeps_order=False):
             finished += 1
             report_progress(finished / len(tasks))
             best_by_task.pop(number, None)
@@ -146,14 +146,14 @@ def run_searches(
     return layouts, stopped
 
 
-def _layout_of_start(
+def _search_result_of_task(
     problem: PlanningProblem,
     task: SearchTask,
     task_number: int,
     report_progress: Callable[[float], None] = no_progress,
     store_layout: Callable[[StationLayout], None] = no_progress,
 ) -> tuple[int, ObjectiveAndSurvey | None]:
-    """Task number, and the pair of objective and layout at the end of the search for this task.
+    """Number of a search task, and the pair of objective and layout at the end of its search.
 
     The pair is None if the search finds no layout that meets the rules of the plan, or none that determines all
     unknowns. `report_progress` is called with the finished fraction of the search, `store_layout` with each better

@@ -367,7 +367,7 @@ class DetectableSize(Entry):
 
     @classmethod
     def from_minimal_size(cls, row: MinimalDetectableSize) -> Self:
-        """Entry of a row of the detectability report, with sizes in the units of display."""
+        """Entry of plan.json for the minimal detectable size of one effect, with sizes in the units of display."""
         factor = SI_PER_UNIT[row.unit]
         return cls(
             effect=row.effect,

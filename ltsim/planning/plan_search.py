@@ -90,8 +90,12 @@ def make_plan(
     made = evaluate_plan(search.plan_file, scenario, best_layout.survey)
     progress_callbacks.on_progress("check of tolerances and changes", 1.0)
     values = search.layouts.get((len(best_layout.survey.station_positions), len(best_layout.survey.faces)), [])
+    plan_file = made.plan_file
+    if not file.gives_min_stations_per_target:
+        plan_file = plan_file.without_min_stations_per_target()
     return replace(
         made,
+        plan_file=plan_file,  # the search may have set the number of stations per target, which is no rule of the user
         tradeoff_points=search.tradeoff_points(search.layouts),
         start_objectives=tuple(sorted(value for value, _, _ in values)),
         station_count_results=tuple(search.station_count_results),

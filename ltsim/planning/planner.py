@@ -11,11 +11,12 @@ from ltsim.core.notation import names_text
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.planning.expected_precision import DisagreementPredictor, ExpectedDisagreement, ExpectedPrecision
+from ltsim.planning.layout_rules import MAX_NAMES_IN_RULE_TEXT, BrokenRule
 from ltsim.planning.layout_scorer import LayoutScorer
 from ltsim.planning.objective import LayoutObjective
 from ltsim.planning.reflector_changes import ReflectorChanges, evaluate_reflector_changes
 from ltsim.planning.search_inputs import is_target_never_moved, layout_objective, make_search_space, planned_survey
-from ltsim.planning.search_space import MAX_NAMES_IN_RULE_TEXT, BrokenRule, SearchSpace
+from ltsim.planning.search_space import SearchSpace
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import PlannedSurvey
 from ltsim.planning.tolerances import (
@@ -36,16 +37,22 @@ MAX_BLOCKED_SIGHTS_IN_SENTENCE = 3
 
 
 @dataclass(frozen=True)
-class TradeoffPoint(ValueEquality):
-    """Point of the trade-off curve between cost (duration) and quality: a measuring procedure with its best layout."""
+class ScoredLayout(ValueEquality):
+    """Layout with its objective and qualities."""
 
     survey: PlannedSurvey
-    """Planned survey with the best layout for this measuring procedure."""
+    """Planned survey whose stations and targets form the layout."""
     objective_value: float
-    """Objective of the layout; smaller is better."""
+    """Objective, smaller is better; infinite for a layout that breaks rules of the plan."""
     qualities: dict[str, float]
     """Values of the qualities (`instrument`, `targets`, `diagnosis`) with a weight in the goal, by name; smaller is
     better."""
+
+
+@dataclass(frozen=True)
+class TradeoffPoint(ScoredLayout):
+    """Point of the trade-off curve between cost (duration) and quality: a measuring procedure with its best layout."""
+
     is_efficient: bool = False
     """True if every point of the trade-off curve with a shorter duration has a worse objective."""
 
@@ -56,16 +63,9 @@ class TradeoffPoint(ValueEquality):
 
 
 @dataclass(frozen=True)
-class LayoutEvaluation(ValueEquality):
+class LayoutEvaluation(ScoredLayout):
     """Evaluation of a planned layout before measurement: expected precision, visibility, objective and broken rules."""
 
-    survey: PlannedSurvey
-    """Planned survey whose stations and targets form the layout."""
-    objective_value: float
-    """Objective, smaller is better; infinite for a layout that breaks rules of the plan."""
-    qualities: dict[str, float]
-    """Values of the qualities (`instrument`, `targets`, `diagnosis`) with a weight in the goal, by name; smaller is
-    better."""
     expected_precision: ExpectedPrecision
     """Expected precision of the unknowns (poses, targets, instrument parameters) of the layout."""
     visibility: Visibility

@@ -12,6 +12,7 @@ from ltsim.core.notation import names_text
 from ltsim.core.units import MICROMETRE, MILLIMETRE
 from ltsim.physics.effects.air import air_uncertainty_text
 from ltsim.planning.expected_precision import ExpectedPrecision
+from ltsim.planning.layout_rules import MAX_NAMES_IN_RULE_TEXT, broken_rules_text
 from ltsim.planning.objective import (
     DIAGNOSIS_QUALITY_NAME,
     INSTRUMENT_QUALITY_NAME,
@@ -28,7 +29,6 @@ from ltsim.planning.planner import (
     objective_and_qualities,
 )
 from ltsim.planning.search_inputs import layout_objective
-from ltsim.planning.search_space import MAX_NAMES_IN_RULE_TEXT, are_stations_too_near, broken_rules_text
 from ltsim.planning.tolerances import is_tolerance_met, loss_sentences, text_distinct_from_limit
 
 CRITERION_PHRASES = {
@@ -262,14 +262,7 @@ def _station_contribution_sentences(plan: PlannedNetwork) -> list[str]:
 def _limit_sentences(plan: PlannedNetwork) -> list[str]:
     """Sentences on rules and circumstances that limit the layout: spacing, edge of the floor, sights, obstacles."""
     survey, site = plan.layout.survey, plan.search_space
-    names, sentences = survey.station_names, []
-    is_near = are_stations_too_near(
-        survey.station_positions[None], 1.02 * site.min_station_spacing
-    ) & ~are_stations_too_near(survey.station_positions[None], site.min_station_spacing)
-    near_pairs = [(names[i], names[j]) for i, j in np.argwhere(is_near[0]).tolist()]
-    if near_pairs:
-        pairs = ", ".join(f"{first} and {second}" for first, second in near_pairs)
-        sentences.append(f"{pairs} are at the minimum spacing of {site.min_station_spacing:g} m.")
+    names, sentences = survey.station_names, site.spacing_limit_sentences(survey)
     steps = 0.03 * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
     edge = [
         name

@@ -182,7 +182,7 @@ class _ChangeEvaluator:
         ]
         return np.sqrt(np.diag(np.linalg.inv(information)))
 
-    def _free_places(self, used_places: Ints) -> Ints:
+    def _free_reflector_positions(self, used_places: Ints) -> Ints:
         """Indices of candidate positions without reflector that are far enough from the positions `used_places`."""
         open_ = np.asarray(~self.is_too_near[:, used_places].any(axis=1))
         open_[self.present_place_indices] = False
@@ -219,9 +219,9 @@ class _ChangeEvaluator:
                 candidates[kind].append((float(objective_factors[k]), removed_index, place, normal_matrices[k]))
 
         for i in range(len(chosen)):
-            record_change("move", i, self._free_places(np.delete(chosen, i)))
+            record_change("move", i, self._free_reflector_positions(np.delete(chosen, i)))
             record_change("remove", i, chosen[:0])
-        record_change("add", None, self._free_places(chosen))
+        record_change("add", None, self._free_reflector_positions(chosen))
         reported: list[ReflectorChangeEntry] = []
         for what, made in candidates.items():
             best = _best_change_per_place(sorted(made, key=lambda pair: pair[0]))[:MAX_REPORTED_CHANGES_PER_KIND]

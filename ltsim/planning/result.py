@@ -56,7 +56,7 @@ class Plan(ResultFile, PlannedLayoutEntry):
     frame: str = ""
     """Description of the coordinate system of all coordinates."""
     reference_layout: PlannedLayoutEntry | None = None
-    """Layout of the scenario with its expected precision, for comparison."""
+    """Layout that the scenario contains, with its expected precision, for comparison with the plan."""
     fewest_stations: TradeoffEntry | None = None
     """Point of the trade-off curve with the fewest stations whose layout is as good as that of the scenario; null if
     there is no such point."""
@@ -118,7 +118,7 @@ class Plan(ResultFile, PlannedLayoutEntry):
             goal_reached=None if judged is None else judged.is_goal_reached,
             tolerances_met=None if network.tolerance_check is None else network.tolerance_check.meets_all_tolerances,
             loss_checks=tuple(LossCheckEntry.from_check(loss) for loss in network.loss_checks),
-            settings=PlanFile.model_validate(network.plan_file.model_dump(mode="json")),  # all of it goes to the file
+            settings=_all_settings(network.plan_file),
             seed=network.plan_file.search.seed,
             detectable_sizes=tuple(DetectableSize.from_minimal_size(row) for row in report.table()),
             confusable_effects=tuple(ConfusablePair.from_pair(pair) for pair in report.confusable_pairs()),
@@ -246,6 +246,14 @@ def load_plan_and_scenario(source: str | Path) -> tuple[PlanFile, Scenario]:
     if not folder.is_dir():
         return load_plan(source)
     return read_result(folder, Plan).settings, load_scenario(folder / SCENARIO_FILE_NAME)
+
+
+def _all_settings(plan_file: PlanFile) -> PlanFile:
+    """Plan file of which all keys are written to plan.json, apart from an unset number of stations per reflector."""
+    values = plan_file.model_dump(mode="json")
+    if not plan_file.gives_min_stations_per_target:
+        values["stations"].pop("min_stations_per_target")
+    return PlanFile.model_validate(values)
 
 
 SCENARIO_FILE_NAME = "scenario.toml"

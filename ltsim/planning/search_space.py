@@ -1,90 +1,49 @@
-"""Search space of a plan: candidate positions, and the rules of a layout (floor, heights, obstacles, sights, spacing).
+"""Search space of a plan: candidate positions of stations and reflectors, with the rules of a layout.
 
 `SearchSpace.is_feasible` tests many layouts at once in a search; `SearchSpace.broken_rules` describes the rules that a
-single layout breaks. Both apply the same rules. A sight is an unobstructed line from a station to a target.
+single layout breaks. Both apply the rules of `ltsim.planning.layout_rules`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from itertools import islice
+from typing import Any
 
 import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.equality import ValueEquality
-from ltsim.core.errors import InputError
 from ltsim.core.notation import names_text
+from ltsim.planning.layout_rules import (
+    MAX_NAMES_IN_RULE_TEXT,
+    MIN_VISIBLE_TARGETS_PER_STATION,
+    BrokenRule,
+    ClearanceRule,
+    CoincidenceRule,
+    LayoutRule,
+    NestAimRule,
+    PositionRule,
+    SpacingRule,
+    StationSightsRule,
+    TargetSightsRule,
+    floor_rules,
+    is_feasible_layout,
+    meets_all,
+)
 from ltsim.planning.station_placement import StationPlacement
 from ltsim.planning.survey import PlannedSurvey
 from ltsim.scene.clearance import StandClearance
-from ltsim.scene.floor import (
-    KeepOutArea,
-    StandingArea,
-    grid_over_area,
-    height_range_text,
-    is_allowed_position,
-    tripod_refusal_reason,
-)
+from ltsim.scene.floor import KeepOutArea, StandingArea, grid_over_area, height_range_text
 from ltsim.scene.meshes import Obstacles
-from ltsim.scene.visibility import SightLimits, compute_visibility, narrowest_cone_axes
+from ltsim.scene.visibility import SightLimits, compute_visibility
 
-MIN_VISIBLE_TARGETS_PER_STATION = 3
-"""Smallest number of targets that a station must see; fewer do not determine its pose."""
-MAX_COINCIDENCE_DISTANCE = 1e-3
-"""Distance [m] below which a station and a target count as being at the same point, which a plan does not permit."""
-STATION_SPACING_TOLERANCE = 1e-9
-"""Amount [m] by which the distance of two stations may fall below the smallest permitted distance, because of
-rounding."""
 MAX_RATIO_AT_CLEARANCE = 1.05
 """Ratio of the distance of a station from a body to the clearance, below which the clearance limits the layout."""
-MAX_NEST_AIMING_STEPS = 60
-"""Largest number of steps of the iteration that aims a fixed nest at all stations."""
-NEST_ANGLE_MARGIN = 0.004
-"""Angle [rad] by which a search reduces the acceptance angle of a fixed nest, because the aiming iteration is inexact.
+MAX_RATIO_AT_SPACING = 1.02
+"""Ratio of the distance of two stations to the smallest permitted distance, below which the spacing limits the layout.
 """
-MAX_NAMES_IN_RULE_TEXT = 8
-"""Largest number of names that a sentence on a rule of the plan lists."""
-
-
-class BrokenRule(NamedTuple):
-    """Rule of the plan that a layout breaks."""
-
-    sentence: str
-    """Sentence without full stop on the broken rule, with the numbers and the key of the plan file."""
-    stations: tuple[str, ...] = ()
-    """Names of the stations whose positions break the rule; empty for a rule about sights."""
-
-
-def broken_rules_text(rules: Sequence[BrokenRule]) -> str:
-    """Sentences on the broken rules in one line, separated by semicolons; empty if no rule is broken."""
-    return "; ".join(rule.sentence for rule in rules)
-
-
-def are_stations_too_near(position: Floats, spacing: float) -> Bools:
-    """Flags (B, S, S): True for a pair of stations whose horizontal distance is smaller than `spacing` [m].
-
-    `position` (B, S, 3) [m] are the S stations of B layouts. Each pair is flagged once.
-    """
-    gap = np.linalg.norm(position[:, :, None, :2] - position[:, None, :, :2], axis=3)
-    return np.asarray(np.triu(gap <= spacing - STATION_SPACING_TOLERANCE, 1))
-
-
-def target_has_too_few_sights(is_visible: Bools, min_sights_per_target: int) -> Bools:
-    """Flags (B, T): True for a target that fewer than `min_sights_per_target` stations see.
-
-    `is_visible` (B, S, T) flags the sights from S stations to T targets in B layouts.
-    """
-    return np.asarray(is_visible.sum(axis=1) < min_sights_per_target)
-
-
-def station_has_too_few_targets(is_visible: Bools) -> Bools:
-    """Flags (B, S): True for a station that sees fewer than `MIN_VISIBLE_TARGETS_PER_STATION` targets.
-
-    `is_visible` (B, S, T) flags the sights from S stations to T targets in B layouts.
-    """
-    return np.asarray(is_visible.sum(axis=2) < MIN_VISIBLE_TARGETS_PER_STATION)
 
 
 @dataclass(frozen=True)
@@ -137,10 +96,10 @@ class SearchSpace(ValueEquality):
 
         `needs_clearance` (N,) is False for a position at which a station already stands, so that its stand fits.
         """
-        is_allowed = is_allowed_position(self.allowed_areas, self.forbidden_areas, self.obstacles, position)
+        is_allowed = meets_all(self._floor_rules, position)
         tested = np.flatnonzero(is_allowed & needs_clearance)
-        if self.stand_clearance is not None and len(tested):
-            is_allowed[tested] = self.stand_clearance.has_room(position[tested])
+        if self._clearance_rule is not None:
+            is_allowed[tested] = meets_all([self._clearance_rule], position[tested])
         return is_allowed
 
     def is_allowed_station(self, survey: PlannedSurvey) -> Bools:
@@ -184,39 +143,64 @@ class SearchSpace(ValueEquality):
         `position` (B, S, 3) [m] are the positions of S stations, `is_visible` (B, S, T) flags their sights to T
         targets.
         """
-        is_feasible: Bools = np.asarray(~target_has_too_few_sights(is_visible, self.min_sights_per_target).any(axis=1))
-        is_feasible &= ~station_has_too_few_targets(is_visible).any(axis=1)
-        is_feasible &= ~are_stations_too_near(position, self.min_station_spacing).any(axis=(1, 2))
-        if self.is_aimed_nest.any() and is_feasible.any():
-            is_feasible[is_feasible] = self._is_aimable_nest(position[is_feasible]).all(axis=1)
-        return is_feasible
+        return is_feasible_layout((*self._joint_position_rules, *self._sight_rules), position, is_visible)
 
     def broken_rules(self, survey: PlannedSurvey) -> tuple[BrokenRule, ...]:
         """Rules of the plan that a layout breaks, first those on positions, then those on sights; empty if none."""
         return (*self.broken_position_rules(survey), *self.broken_sight_rules(survey))
 
     def broken_position_rules(self, survey: PlannedSurvey) -> tuple[BrokenRule, ...]:
-        """Broken rules on floor, clearance, coincidence and spacing of the positions of stations; empty if all hold."""
-        names, position = survey.station_names, survey.station_positions
-        rules = []
-        for name, place, needs_clearance in zip(names, position, self._needs_clearance(names), strict=True):
-            if why := tripod_refusal_reason(self.allowed_areas, self.forbidden_areas, self.obstacles, place):
-                rules.append(BrokenRule(f"{name} stands {why}", (name,)))
-            elif needs_clearance and self.stand_clearance and not self.stand_clearance.has_room(place[None])[0]:
-                distance, body = self.stand_clearance.nearest_body(place)
-                words = f"{name} stands {distance:.3f} m from {body or 'a body'}, closer than"
-                rules.append(BrokenRule(f"{words} {self.stand_clearance.radius:g} m (stations.clearance_mm)", (name,)))
-        for s, t in np.argwhere(
-            np.linalg.norm(position[:, None] - survey.target_points, axis=2) < MAX_COINCIDENCE_DISTANCE
-        ).tolist():
-            rules.append(BrokenRule(f"station {names[s]} coincides with target {survey.target_names[t]}", (names[s],)))
-        for first, second in np.argwhere(are_stations_too_near(position[None], self.min_station_spacing)[0]).tolist():
-            gap = np.linalg.norm(position[first, :2] - position[second, :2])
-            words = (
-                f"{names[first]} and {names[second]} are {gap:.2f} m apart, closer than {self.min_station_spacing:g} m"
-            )
-            rules.append(BrokenRule(f"{words} (stations.spacing_mm)", (names[first], names[second])))
-        return tuple(rules)
+        """Broken rules on floor, clearance, coincidence and spacing of the positions of stations; empty if all hold.
+
+        For each station only the first broken rule on its own position is described.
+        """
+        rules, names = list[BrokenRule](), survey.station_names
+        for name, place, needs_clearance in zip(
+            names, survey.station_positions, self._needs_clearance(names), strict=True
+        ):
+            clearance = [self._clearance_rule] if self._clearance_rule is not None and needs_clearance else []
+            broken = (rule for rule in (*self._floor_rules, *clearance) if rule.is_broken(place[None])[0])
+            rules += [BrokenRule(f"{name} stands {rule.reason(place)}", (name,)) for rule in islice(broken, 1)]
+        joint = self.replace(survey=survey)._joint_position_rules
+        return (*rules, *(broken for rule in joint for broken in rule.broken_rules(survey)))
+
+    def broken_sight_rules(self, survey: PlannedSurvey) -> tuple[BrokenRule, ...]:
+        """Rules on sights that a layout breaks, according to `is_visible` of the survey; empty if none is broken."""
+        return tuple(broken for rule in self._sight_rules for broken in rule.broken_rules(survey))
+
+    @property
+    def _floor_rules(self) -> tuple[PositionRule, ...]:
+        """Rules on the position of a tripod, without its clearance from bodies."""
+        return floor_rules(self.allowed_areas, self.forbidden_areas, self.obstacles)
+
+    @property
+    def _clearance_rule(self) -> ClearanceRule | None:
+        """Rule on the clearance of a stand; None without obstacles."""
+        return None if self.stand_clearance is None else ClearanceRule(self.stand_clearance)
+
+    @property
+    def _joint_position_rules(self) -> tuple[LayoutRule, ...]:
+        """Rules on the positions of all stations together."""
+        return CoincidenceRule(self.survey.target_points), SpacingRule(self.min_station_spacing)
+
+    @property
+    def _sight_rules(self) -> tuple[LayoutRule, ...]:
+        """Rules on the sights of a layout; the aim of fixed nests, which takes most time, is the last."""
+        rules = (TargetSightsRule(self.min_sights_per_target), StationSightsRule())
+        if not self.is_aimed_nest.any():
+            return rules
+        names = tuple(self.survey.target_names[t] for t in np.flatnonzero(self.is_aimed_nest))
+        points = self.survey.target_points[self.is_aimed_nest]
+        return (*rules, NestAimRule(names, points, self.sight_limits.max_incidence_angle, self.position_tolerance))
+
+    def spacing_limit_sentences(self, survey: PlannedSurvey) -> list[str]:
+        """Sentence, in a list, on pairs of stations whose distance is hardly larger than permitted; or empty list."""
+        too_near, near = (
+            [broken.stations for broken in SpacingRule(factor * self.min_station_spacing).broken_rules(survey)]
+            for factor in (1.0, MAX_RATIO_AT_SPACING)
+        )
+        pairs = ", ".join(" and ".join(pair) for pair in near if pair not in too_near)
+        return [f"{pairs} are at the minimum spacing of {self.min_station_spacing:g} m."] if pairs else []
 
     def clearance_limit_sentences(self, survey: PlannedSurvey) -> list[str]:
         """Sentences on stations of a layout, as a list, that keep the clearance from bodies but hardly more."""
@@ -231,41 +215,6 @@ class SearchSpace(ValueEquality):
             for s in np.flatnonzero(is_near).tolist()
         ]
 
-    def broken_sight_rules(self, survey: PlannedSurvey) -> tuple[BrokenRule, ...]:
-        """Rules on sights that a layout breaks, according to `is_visible` of the survey; empty if none is broken."""
-        visible, targets, rules = survey.is_visible[None], survey.target_names, []
-        deficient_names = [
-            targets[t] for t in np.flatnonzero(target_has_too_few_sights(visible, self.min_sights_per_target)[0])
-        ]
-        if deficient_names:
-            verb, stations = (
-                "is" if len(deficient_names) == 1 else "are",
-                f"{self.min_sights_per_target} station{'s' if self.min_sights_per_target > 1 else ''}",
-            )
-            named = names_text(deficient_names, MAX_NAMES_IN_RULE_TEXT)
-            rules.append(
-                BrokenRule(f"{named} {verb} visible from fewer than {stations} (stations.min_stations_per_target)")
-            )
-        for s in np.flatnonzero(station_has_too_few_targets(visible)[0]):
-            count = int(survey.is_visible[s].sum())
-            rules.append(
-                BrokenRule(
-                    f"{survey.station_names[s]} sees {count} targets, expected at least "
-                    f"{MIN_VISIBLE_TARGETS_PER_STATION}"
-                )
-            )
-        if self.is_aimed_nest.any():
-            aimed = [self.survey.target_names[t] for t in np.flatnonzero(self.is_aimed_nest)]
-            turned = [
-                name
-                for name, ok in zip(aimed, self._is_aimable_nest(survey.station_positions[None])[0], strict=True)
-                if not ok
-            ]
-            if turned:
-                words = f"fixed nests of {names_text(turned, MAX_NAMES_IN_RULE_TEXT)} cannot be aimed at all stations"
-                rules.append(BrokenRule(f"{words} (smr.acceptance_deg)"))
-        return tuple(rules)
-
     def connectivity_scores(self, is_visible: Bools) -> Floats:
         """Score (B,) of B layouts: number of stations connected to the first one, plus a fraction below 1.
 
@@ -278,17 +227,6 @@ class SearchSpace(ValueEquality):
         )
         linked = np.linalg.matrix_power((shared > 1).astype(np.float64), shared.shape[1])[:, 0] > 0
         return np.asarray(linked.sum(axis=1) + shared.mean(axis=(1, 2)) / (MIN_VISIBLE_TARGETS_PER_STATION + 1))
-
-    def _is_aimable_nest(self, position: Floats) -> Bools:
-        """Flags (B, k): True for each of k fixed nests that can be aimed so that it returns the beams of all stations.
-
-        `position` (B, S, 3) [m] are the positions of the S stations in B layouts.
-        """
-        back = position[:, None] - self.survey.target_points[self.is_aimed_nest][:, None, :]
-        range_ = np.linalg.norm(back, axis=3, keepdims=True)
-        cosine = np.einsum("btsk,btk->bts", back / range_, narrowest_cone_axes(back / range_, MAX_NEST_AIMING_STEPS))
-        incidence = np.arccos(np.clip(cosine, -1.0, 1.0)) + self.position_tolerance / range_[..., 0]
-        return np.asarray(incidence.max(axis=2) < self.sight_limits.max_incidence_angle - NEST_ANGLE_MARGIN)
 
     def invisible_targets_sentence(self, target_indices: Ints) -> str:
         """Sentence on targets (by index) that no position on the floor sees, with the action to take."""
@@ -335,13 +273,8 @@ class SearchSpace(ValueEquality):
         The result also contains the fixed stations. `step` [m] is the horizontal step, `n_heights` the number of
         heights. Raises InputError if no position sees enough targets.
         """
-        places, fixed = (
-            self.grid_station_positions(step, n_heights),
-            self.survey.station_positions[list(self.fixed_station_indices)],
-        )
+        places = self.grid_station_positions(step, n_heights)
+        fixed = self.survey.station_positions[list(self.fixed_station_indices)]
         visible = self.is_visible(places)
-        is_sufficient = visible.sum(axis=1) >= MIN_VISIBLE_TARGETS_PER_STATION
-        if not is_sufficient.any():
-            raise InputError("no position on the floor sees three points; enlarge the floor, or move obstacles")
         counted = self.is_visible(fixed).sum(axis=0) if len(fixed) else np.zeros(visible.shape[1], dtype=np.int64)
-        return StationPlacement(places[is_sufficient], visible[is_sufficient], self.min_station_spacing, fixed, counted)
+        return StationPlacement.from_grid(places, visible, SpacingRule(self.min_station_spacing), fixed, counted)

@@ -14,8 +14,10 @@ from ltsim.simulation.sections import MeasurementProcedure, ScenarioInstrument, 
 
 WALLS_NAME = "walls"
 """Name of the walls of the hall in `reflectors.candidate_bodies`, the bodies on which reflectors may be placed."""
-StationCount = Annotated[int, Field(ge=2, le=40)]
-"""Number of stations, 2 to 40."""
+MIN_STATIONS, MAX_STATIONS = 2, 40
+"""Smallest and largest number of stations of a layout."""
+StationCount = Annotated[int, Field(ge=MIN_STATIONS, le=MAX_STATIONS)]
+"""Number of stations of a layout."""
 
 
 class PlanPoint(TomlSection):
@@ -66,7 +68,7 @@ class StationSettings(TomlSection):
     position_tolerance_mm: NonNegative = 50.0
     """Largest distance [mm] of an instrument from its planned position at which every sight must still be free. The
     plan does not use a sight that is free only from a part of these positions."""
-    min_stations_per_target: Literal["all"] | Annotated[int, Field(ge=1, le=40)] = "all"
+    min_stations_per_target: Literal["all"] | Annotated[int, Field(ge=1, le=MAX_STATIONS)] = "all"
     """Smallest number of stations that must see each reflector; default all stations, or as many as a layout permits.
     """
 
@@ -255,6 +257,11 @@ class PlanFile(TomlSection):
         return self.model_copy(
             update={"stations": self.stations.model_copy(update={"min_stations_per_target": min_stations})}
         )
+
+    def without_min_stations_per_target(self) -> PlanFile:
+        """Copy of the plan file in which the default number of stations that must see each reflector applies."""
+        other_settings = self.stations.model_dump(exclude={"min_stations_per_target"})
+        return self.model_copy(update={"stations": StationSettings.model_validate(other_settings)})
 
     @property
     def gives_min_stations_per_target(self) -> bool:

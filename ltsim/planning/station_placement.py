@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.optimize import Bounds, LinearConstraint, milp
 
 from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.errors import InputError
+from ltsim.planning.layout_rules import SpacingRule, sees_enough_targets
 
 N_DRAWN_PLACES_PER_STATION = 24
 """Number of candidate positions that are drawn for each station of a random layout; the best of them is used."""
@@ -28,12 +29,30 @@ class StationPlacement:
     """Coordinates (N, 3) [m] of the N candidate positions."""
     is_visible: Bools
     """Flags (N, T): True where one of T targets is visible from one of N candidate positions."""
-    min_spacing: float
-    """Smallest horizontal distance between two stations [m]."""
+    spacing_rule: SpacingRule
+    """Rule on the horizontal distance of two stations."""
     fixed_positions: Floats
     """Positions (F, 3) [m] of the F fixed stations."""
     n_fixed_sights: Ints
     """Number (T,) of fixed stations that see each of T targets."""
+
+    @classmethod
+    def from_grid(
+        cls,
+        positions: Floats,
+        is_visible: Bools,
+        spacing_rule: SpacingRule,
+        fixed_positions: Floats,
+        n_fixed_sights: Ints,
+    ) -> StationPlacement:
+        """Placement at those of N positions (N, 3) [m] that see enough targets for the pose of a station.
+
+        `is_visible` (N, T) flags the sights. Raises InputError if no position sees enough targets.
+        """
+        is_sufficient = sees_enough_targets(is_visible)
+        if not is_sufficient.any():
+            raise InputError("no position on the floor sees three points; enlarge the floor, or move obstacles")
+        return cls(positions[is_sufficient], is_visible[is_sufficient], spacing_rule, fixed_positions, n_fixed_sights)
 
     def place_stations(
         self, n_stations: int, wanted_sights: int, random_generator: np.random.Generator | None = None
@@ -46,7 +65,7 @@ class StationPlacement:
         place_indices: list[int] = []
         while (
             len(place_indices) < n_stations
-            and (place := self._best_place(place_indices, wanted_sights, random_generator)) >= 0
+            and (place := self._best_candidate_position(place_indices, wanted_sights, random_generator)) >= 0
         ):
             place_indices.append(place)
         if len(place_indices) == n_stations and not self.missing_sights(place_indices, wanted_sights).any():
@@ -62,7 +81,7 @@ class StationPlacement:
             np.maximum(wanted_sights - self.n_fixed_sights - self.is_visible[place_indices].sum(axis=0), 0)
         )
 
-    def _best_place(
+    def _best_candidate_position(
         self, used_places: list[int], wanted_sights: int, random_generator: np.random.Generator | None
     ) -> int:
         """Index of the candidate position that sees most targets with too few sights; -1 if all are too near.
@@ -87,9 +106,8 @@ class StationPlacement:
         )
         added_sights += 1e-3 * (self.is_visible[candidate_order] / (1.0 + present_sights) ** 2).sum(axis=1)
         for place in (*self.fixed_positions, *self.candidate_positions[used_places]):
-            added_sights[
-                np.linalg.norm(self.candidate_positions[candidate_order, :2] - place[:2], axis=1) < self.min_spacing
-            ] = -1.0
+            distance = np.linalg.norm(self.candidate_positions[candidate_order, :2] - place[:2], axis=1)
+            added_sights[self.spacing_rule.is_too_near(distance)] = -1.0
         return int(candidate_order[np.argmax(added_sights)]) if added_sights.max(initial=-1.0) >= 0.0 else -1
 
     def _optimal_places(
@@ -99,12 +117,13 @@ class StationPlacement:
 
         The positions are the solution of a mixed-integer linear program; random costs make it different in each draw.
         """
+        from scipy.optimize import Bounds, LinearConstraint, milp  # slow to load, and only a search of layouts needs it
+
         places, targets = self.is_visible.shape
         gap = np.linalg.norm(self.candidate_positions[:, None, :2] - self.fixed_positions[None, :, :2], axis=2)
-        free = (gap >= self.min_spacing).all(axis=1)
-        is_too_near = (
+        free = ~self.spacing_rule.is_too_near(gap).any(axis=1)
+        is_too_near = self.spacing_rule.is_too_near(
             np.linalg.norm(self.candidate_positions[:, None, :2] - self.candidate_positions[None, :, :2], axis=2)
-            < self.min_spacing
         )
         first, second = np.nonzero(np.triu(is_too_near, 1))
         rows = np.arange(len(first))

@@ -17,7 +17,7 @@ from ltsim.core.notation import names_text
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.planning.expected_precision import ExpectedPrecision
-from ltsim.planning.search_space import BrokenRule, broken_rules_text
+from ltsim.planning.layout_rules import BrokenRule, broken_rules_text
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import PlannedSurvey
 
@@ -40,9 +40,9 @@ def is_tolerance_met(ratio: float) -> bool:
     return ratio <= 1.0
 
 
-def text_distinct_from_limit(value: float, limit: float, digits: int = 3) -> str:
-    """Text of `value` with at least `digits` digits, and with enough to show on which side of `limit` the value is."""
-    texts = (f"{value:.{count}g}" for count in range(digits, 17))
+def text_distinct_from_limit(value: float, limit: float) -> str:
+    """Text of `value` with at least three digits, and with enough to show on which side of `limit` the value is."""
+    texts = (f"{value:.{count}g}" for count in range(3, 17))
     return next((text for text in texts if (float(text) > limit) == (value > limit)), repr(value))
 
 

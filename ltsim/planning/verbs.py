@@ -10,6 +10,7 @@ import numpy as np
 from ltsim.adjustment.remedies.candidates import VisibilityFunction
 from ltsim.adjustment.remedies.network import PlannedNetwork as ExtendedNetwork
 from ltsim.adjustment.remedies.next_measurement import (
+    DEFAULT_MOVE_TIME,
     ProgressCallback,
     no_progress,
     rank_informative_measurements,
@@ -28,13 +29,14 @@ from ltsim.core.errors import InputError, option_text, unknown_name_error
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
 from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.model.construction import declared_construction
+from ltsim.planning.layout_rules import broken_rules_text
 from ltsim.planning.multistart_search import PlanningProblem
 from ltsim.planning.plan_search import SearchCallbacks, make_plan
 from ltsim.planning.planner import PlannedNetwork, evaluate_plan
 from ltsim.planning.proposals import NextMeasurement
 from ltsim.planning.result import Plan, load_plan_and_scenario
 from ltsim.planning.search_inputs import plan_without_search
-from ltsim.planning.search_space import SearchSpace, broken_rules_text
+from ltsim.planning.search_space import SearchSpace
 from ltsim.planning.site_axes import with_station_poses_on_site
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import PlannedSurvey
@@ -109,7 +111,7 @@ def next_measurement(
     between: Sequence[str] = (),
     with_effects: str | LinearEffect | Sequence[str | LinearEffect] = (),
     site: str | Path | None = None,
-    minutes_per_move: float = 20.0,
+    minutes_per_move: float = DEFAULT_MOVE_TIME / 60.0,
     progress: ProgressCallback = no_progress,
 ) -> NextMeasurement:
     """Ranking of additional measurements after a recording, and the identified causes of a misfit of its readings.
@@ -296,7 +298,8 @@ def _plan_with_moved_stations(
     wrong = [rule for rule in site.broken_position_rules(survey) if {*rule.stations} & {*new_positions}]
     if wrong:
         raise InputError(f"{option_text('move')}: {broken_rules_text(wrong)}")
-    return evaluate_plan(file, scenario, survey.replace(is_visible=site.is_visible(position)))
+    network = evaluate_plan(file, scenario, survey.replace(is_visible=site.is_visible(position)))
+    return replace(network, plan_file=plan)
 
 
 def _position_numbers(name: str, position: object) -> Floats:

@@ -19,12 +19,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ltsim.core.arrays import Floats, Ints
+from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import require_small_joint_covariance
-from ltsim.core.results import escape_cell_text, unescape_cell_text
+from ltsim.core.notation import escape_cell_text, unescape_cell_text
 from ltsim.core.units import MILLIMETRE, SI_PER_UNIT
 from ltsim.recordings.covariance_file import read_covariance_matrix
+from ltsim.recordings.epoch_coordinates import AXIS_NAMES, EpochCoordinates, without_fixed_points
 from ltsim.recordings.files import SourceLocation, read_file_beginning, safe_excerpt
 from ltsim.recordings.spreadsheets import cells
 from ltsim.recordings.spreadsheets.header import (
@@ -40,7 +41,6 @@ from ltsim.recordings.spreadsheets.sheets import SheetRow, TableSheet, read_shee
 from ltsim.recordings.spreadsheets.title_words import COMMON_SIGMA_ROLE
 from ltsim.recordings.xml import XmlNode, band_matrix_entries, parse_xml
 
-AXIS_NAMES = "xyz"
 RESULT_TARGETS_FILE = "targets.csv"
 MIN_EIGENVALUE_PER_ROW = -1e-9
 """Smallest permitted eigenvalue of a correlation matrix, divided by its number of rows; rounding may make a zero
@@ -260,27 +260,6 @@ def _point_covariances(numbers_by_column: Mapping[str, Floats], n_points: int) -
     return covariance
 
 
-@dataclass(frozen=True)
-class EpochCoordinates:
-    """Coordinates of T points at one epoch, along the d axes that were measured, with one covariance matrix of all."""
-
-    title: str
-    names: tuple[str, ...]
-    """Names of the T points."""
-    axes: str
-    """Measured axes, as letters among `xyz`, such as `xy`."""
-    points: Floats
-    """Coordinates (T, 3) [m] of the T points; 0 along axes that were not measured."""
-    covariance: Floats
-    """Joint covariance matrix (T d, T d) [m^2] of T points along d axes; rows are sorted by point, then by axis."""
-    notes: tuple[str, ...] = ()
-
-    @property
-    def axis_indices(self) -> Ints:
-        """Indices (d,) of the d measured axes: 0 for x, 1 for y, 2 for z."""
-        return np.array([AXIS_NAMES.index(axis) for axis in self.axes])
-
-
 def _target_list_path(path: Path) -> Path:
     """Path of the file `targets.csv` if `path` is a folder of results; otherwise `path` unchanged."""
     return file if (file := path / RESULT_TARGETS_FILE).is_file() and not (path / "observations.csv").exists() else path
@@ -295,8 +274,12 @@ def is_coordinate_file(path: Path) -> bool:
     return "<gama-local-adjustment" in beginning if beginning.startswith("<") else is_point_list(beginning)
 
 
-def read_coordinates(path: Path) -> EpochCoordinates:
-    """Coordinates of one epoch with their covariance matrix, from a file or a folder of results; raises RecordError."""
+def read_coordinates(path: Path, *, allows_fixed: bool = False) -> EpochCoordinates:
+    """Coordinates of one epoch with their covariance matrix, from a file or a folder of results; raises RecordError.
+
+    With `allows_fixed`, coordinates that define the frame may have the variance 0. Otherwise points with such
+    coordinates alone are left out, with a note.
+    """
     if not path.exists():
         raise RecordError("there is no such file", file=path)
     folder, path = path, _target_list_path(path)
@@ -305,7 +288,11 @@ def read_coordinates(path: Path) -> EpochCoordinates:
     if len(set(epoch.names)) < len(epoch.names):
         twice = next(name for name in epoch.names if epoch.names.count(name) > 1)
         raise RecordError(f"contains the point '{safe_excerpt(twice)}' twice", file=path)
+    if not allows_fixed:
+        epoch = without_fixed_points(epoch)
     sigma = np.sqrt(np.maximum(np.diag(epoch.covariance), 0.0))
+    if allows_fixed:
+        sigma[sigma == 0.0] = 1.0
     if not sigma.all():
         position = divmod(int(np.argmin(sigma)), len(epoch.axes))
         what = f"{safe_excerpt(epoch.names[position[0]])}.{epoch.axes[position[1]]}"

@@ -16,7 +16,7 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import MAX_TEXT_LINES, require_small_joint_covariance
-from ltsim.core.results import unescape_cell_text
+from ltsim.core.notation import unescape_cell_text
 from ltsim.recordings.files import MAX_NUMBER_TEXT_LENGTH, SourceLocation, read_text, safe_excerpt, with_unix_line_ends
 
 MAX_COVARIANCE_ASYMMETRY = 1e-6
@@ -35,7 +35,7 @@ def read_covariance_matrix(path: Path, coordinate_names: Sequence[str]) -> Float
 
     Raises RecordError.
     """
-    rows = _rows(path)
+    rows = _numbered_csv_rows(path)
     names = list(map(unescape_cell_text, next(rows, (0, [""]))[1][1:]))
     index_by_name = {name: i for i, name in enumerate(names)}
     missing = next((name for name in coordinate_names if name not in index_by_name), None)
@@ -52,7 +52,7 @@ def read_covariance_matrix(path: Path, coordinate_names: Sequence[str]) -> Float
         line, fields = row
         if len(fields) != 1 + len(names):
             raise RecordError("has rows whose length differs from the header", file=path)
-        matrix[i] = _numbers(fields[1:], SourceLocation(path, line))
+        matrix[i] = _parse_numbers(fields[1:], SourceLocation(path, line))
     variance = np.abs(np.diag(matrix))
     if max(np.abs(row - column).max() for row, column in zip(matrix, matrix.T, strict=True)) > (
         MAX_COVARIANCE_ASYMMETRY * float(variance.max())
@@ -64,7 +64,7 @@ def read_covariance_matrix(path: Path, coordinate_names: Sequence[str]) -> Float
     return 0.5 * (matrix + matrix.T)
 
 
-def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
+def _numbered_csv_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
     """Line number and fields of each row, without blank lines and comments; raises RecordError."""
     text = with_unix_line_ends(read_text(path))
     if text.count("\n") > MAX_TEXT_LINES:
@@ -80,7 +80,7 @@ def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
             raise SourceLocation(path, number).error(f"is not CSV ({problem})") from None
 
 
-def _numbers(texts: Sequence[str], location: SourceLocation) -> Floats:
+def _parse_numbers(texts: Sequence[str], location: SourceLocation) -> Floats:
     """Numbers (n,) of the n texts of a row; raises RecordError."""
     if max(map(len, texts), default=0) <= MAX_NUMBER_TEXT_LENGTH and _NUMBER_CHARACTERS_PATTERN.fullmatch(
         " ".join(texts)

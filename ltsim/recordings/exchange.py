@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
 
@@ -25,7 +26,11 @@ from ltsim.recordings.setup import Setup
 from ltsim.recordings.spreadsheets.cells import has_time_of_day, is_numeric
 from ltsim.recordings.tables import reader as tables
 from ltsim.recordings.tables.station_names import UnrecognisedStationColumnError
-from ltsim.recordings.tables.unnamed_targets import UnnamedTargetsError
+from ltsim.recordings.tables.unnamed_targets import (
+    MOVING_TARGET_TEXT,
+    STATION_OF_POSITIONS_ADVICE,
+    UnnamedTargetsError,
+)
 from ltsim.recordings.times import time_unit_questions
 
 RecordingSource = Recording | str | Path
@@ -44,6 +49,10 @@ TRIAL_STATION_NAME = "S1"
 MAX_REPEATED_POINT_DISTANCE_M = 1e-3
 """Distance [m] between rows with one name below which these rows are repeated measurements of one point; rows with a
 larger distance contradict each other.
+"""
+MIN_ADDITIONAL_COLUMNS_OF_POSES = 3
+"""Smallest number of columns besides numbered positions, such as angles of joints or of a rotation, that shows poses of
+a robot instead of a list of points.
 """
 NATIVE_FORMAT_DESCRIPTION = "folder with observations.csv and setup.toml"
 POLAR_TEXT_FORMAT_DESCRIPTION = "plain text: station, target, azimuth, zenith or elevation, distance"
@@ -107,20 +116,22 @@ def _refuse_point_list(path: Path, hints: Hints) -> Recording:
             except RecordError:
                 pass  # it is no table of several set-ups
     names = "one name" if n_points == 1 else f"{n_points} names"
-    if all(has_time_of_day(name) or (is_numeric(name) and not name.isdigit()) for name in point_list.names):
-        message = f"this is a table of {n_points + n_repeated} positions without point names, as a moving target gives "
-        message += "(on a robot, a T-MAC); it is not a list of points"
+    is_numbered = all(name.isdigit() for name in point_list.names) and all(
+        int(after) == int(name) + 1 for name, after in pairwise(point_list.names)
+    )
+    if all(has_time_of_day(name) or (is_numeric(name) and not name.isdigit()) for name in point_list.names) or (
+        is_numbered and len(point_list.additional_columns) >= MIN_ADDITIONAL_COLUMNS_OF_POSES
+    ):
+        message = f"this is a table of {n_points + n_repeated} positions without point names, {MOVING_TARGET_TEXT}; it "
+        message += "is not a list of points"
     elif n_repeated and point_list.max_repeated_point_distance_m < MAX_REPEATED_POINT_DISTANCE_M:
         message = f"this is a list of {n_points} points in {n_points + n_repeated} rows, without instrument readings"
     elif n_repeated >= max(n_points, MIN_ROWS_SHOWING_MOVING_TARGET):
         rows = f"{n_points + n_repeated} positions under {names} ('{point_list.names[0]}')"
-        message = (
-            f"this is a table of {rows}, as a moving target gives (on a robot, a T-MAC); it is not a list of points"
-        )
+        message = f"this is a table of {rows}, {MOVING_TARGET_TEXT}; it is not a list of points"
     else:
         message = f"this is a list of {n_points} points without instrument readings (nominal or reference coordinates)"
-    hint = "if one station measured them in its frame, name the station: --format table --hint station=NAME"
-    raise RecordError(f"{message} ({hint})", file=path)
+    raise RecordError(f"{message} ({STATION_OF_POSITIONS_ADVICE})", file=path)
 
 
 FORMATS: tuple[FileFormat, ...] = (

@@ -91,7 +91,7 @@ def face_unit_errors(recording: Recording) -> list[FaceUnitError]:
     if not len(pairs):
         return []
     stations = recording.station[pairs[:, 0]]
-    disagreements = _disagreements(recording.readings, pairs)
+    disagreements = _face_point_distances(recording.readings, pairs)
     suspects = [
         s
         for s in np.unique(stations).tolist()
@@ -102,16 +102,16 @@ def face_unit_errors(recording: Recording) -> list[FaceUnitError]:
     for s in suspects:
         station_pairs = pairs[stations == s]
         initial = float(np.median(disagreements[stations == s]))
-        candidates = list(_converted_readings(recording, s, station_pairs))
-        medians = [float(np.median(_disagreements(readings, station_pairs))) for _, _, readings in candidates]
+        candidates = list(_candidate_face_errors(recording, s, station_pairs))
+        medians = [float(np.median(_face_point_distances(readings, station_pairs))) for _, _, readings in candidates]
         limit = min(MAX_RATIO_OF_CONVERTED_DISAGREEMENT * initial, MIN_RELATIVE_DISAGREEMENT_OF_WRONG_LENGTHS)
         if min(medians, default=initial) < limit:
-            error, face, readings = _most_consistent(recording, candidates, medians)
+            error, face, readings = _best_face_agreement(recording, candidates, medians)
             errors.setdefault((error.name, face), []).append((s, readings, error))
     return [_common_face_error(recording, face, group) for (_, face), group in errors.items()]
 
 
-def _most_consistent(
+def _best_face_agreement(
     recording: Recording, candidates: Sequence[ReadingsWithoutError], disagreements: Sequence[float]
 ) -> ReadingsWithoutError:
     """Candidate with the smallest disagreement of the faces; among equal ones, of the lengths from several stations.
@@ -169,7 +169,7 @@ def _two_face_pairs(recording: Recording) -> Ints:
     return np.stack([first_rows[0][1][in_1], first_rows[1][1][in_2]], axis=1)
 
 
-def _disagreements(readings: Floats, pairs: Ints) -> Floats:
+def _face_point_distances(readings: Floats, pairs: Ints) -> Floats:
     """Distances (k,) between the points of k two-face pairs, relative to the longer of their ranges.
 
     `readings` (n, 3) [m, rad, rad] are those of n pointings, `pairs` (k, 2) the indices of face 1 and face 2. An
@@ -183,7 +183,7 @@ def _disagreements(readings: Floats, pairs: Ints) -> Floats:
     return np.asarray(np.linalg.norm(points[:, 0] - points[:, 1], axis=1) / np.abs(filled[..., 0]).max(axis=1))
 
 
-def _converted_readings(recording: Recording, station: int, pairs: Ints) -> Iterator[ReadingsWithoutError]:
+def _candidate_face_errors(recording: Recording, station: int, pairs: Ints) -> Iterator[ReadingsWithoutError]:
     """Errors and faces that may explain the disagreement of the faces, with the readings (n, 3) without the error.
 
     `pairs` (k, 2) are the pointings in face 1 and face 2 at the station.

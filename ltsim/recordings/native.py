@@ -11,10 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
-from ltsim.core.errors import RecordError
+from ltsim.core.errors import RecordError, require_columns
 from ltsim.core.limits import MAX_TABLE_COLUMNS
-from ltsim.core.results import escape_cell_text, unescape_cell_text
-from ltsim.core.table_headers import require_columns
+from ltsim.core.notation import escape_cell_text, unescape_cell_text
 from ltsim.core.units import DEGREE, MILLIMETRE, SI_PER_UNIT, UNIT_BY_SPELLING
 from ltsim.recordings.conventions import NO_HINTS, Hints
 from ltsim.recordings.files import (

@@ -72,7 +72,8 @@ def target_occupations(recording: Recording, centring: CentringUncertainty) -> I
         (centring.targets, recording.targets, recording.target),
     ):
         if declared_names:
-            is_affected &= np.isin(np.array(names)[index], declared_names)
+            declared = frozenset(declared_names)
+            is_affected &= np.array([name in declared for name in names], dtype=bool)[index]
     index_by_key: dict[object, int] = {}
     occupation = np.full(len(recording), -1, dtype=np.int64)
     for row in np.flatnonzero(is_affected).tolist():

@@ -38,7 +38,7 @@ from ltsim.core.limits import (
     MAX_RESULT_TEXTS,
 )
 from ltsim.core.results import MAX_RESULT_MAGNITUDE, Result
-from ltsim.recordings.coordinates import EpochCoordinates
+from ltsim.recordings.epoch_coordinates import EpochCoordinates
 from ltsim.recordings.files import read_bytes, read_text, safe_excerpt, write_texts
 from ltsim.recordings.recording import Recording
 

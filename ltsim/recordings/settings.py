@@ -54,7 +54,7 @@ def read_toml(path: Path, kind: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except (tomllib.TOMLDecodeError, ValueError) as problem:
-        raise RecordError(f"is not TOML: {_single_line(problem)}", file=path) from None
+        raise RecordError(f"is not TOML: {_message_without_line_breaks(problem)}", file=path) from None
     except RecursionError:
         raise RecordError(f"is nested too deeply to be a {kind}", file=path) from None
 
@@ -184,7 +184,7 @@ def load_settings(path: Path, model: type[SettingsType], kind: str) -> SettingsT
         return validate_settings(read_toml(path, kind), model, kind, path)
 
 
-def _single_line(problem: Exception) -> str:
+def _message_without_line_breaks(problem: Exception) -> str:
     """Message of an error on one line."""
     return safe_excerpt(" ".join(str(problem).split()), 160)
 

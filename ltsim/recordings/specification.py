@@ -235,7 +235,8 @@ def noise_and_prior_tables(
     ]
     if missing_limits:
         raise ModelError(
-            f"the data sheet {name} does not give the range of elevations; set {', '.join(missing_limits)}"
+            f"the data sheet {name} does not give limits of elevations and ranges; "
+            f"set {', '.join(missing_limits)} in the table [instrument]"
         )
     return tables
 

@@ -69,7 +69,10 @@ def _station_target_pairs_on_face(recording: Recording, face: int) -> list[tuple
 def _readings_text(recording: Recording) -> str:
     """Text on the readings: number and span of distances, azimuths and elevations."""
     counts = recording.is_measured.sum(axis=0)
-    horizontal_text = " (horizontal ones)" if recording.is_horizontal_distance.any() else ""
+    n_horizontal = int((recording.is_horizontal_distance & recording.is_measured[:, 0]).sum())
+    horizontal_text = ""
+    if n_horizontal:
+        horizontal_text = " (horizontal)" if n_horizontal == counts[0] else f" ({n_horizontal} of them horizontal)"
     distances = (
         f"{counts[0]} distances{horizontal_text} of {_range_text(recording.readings[:, 0], '.4g')} m"
         if counts[0]

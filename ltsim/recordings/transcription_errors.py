@@ -57,9 +57,14 @@ class WrongColumnConversion:
         return corrected
 
 
-def _length_unit_error(name: str, unit: str, unit_in_mm: float) -> WrongColumnConversion:
-    """Transcription error of distances in a wrong `unit` (plural noun) of `unit_in_mm` [mm], with the given name."""
-    return WrongColumnConversion(name, unit, "millimetres", ((0, 1.0 / unit_in_mm, 0.0),))
+def _length_unit_error(
+    name: str, unit: str, unit_in_mm: float, right_unit: str = "millimetres", right_unit_in_mm: float = 1.0
+) -> WrongColumnConversion:
+    """Transcription error of distances in a wrong `unit` (plural noun) of `unit_in_mm` [mm], with the given name.
+
+    The column should contain the unit `right_unit` (plural noun) of `right_unit_in_mm` [mm].
+    """
+    return WrongColumnConversion(name, unit, right_unit, ((0, right_unit_in_mm / unit_in_mm, 0.0),))
 
 
 GON_PER_DEGREE, RADIAN_PER_DEGREE = (SI_PER_UNIT["deg"] / SI_PER_UNIT[unit] for unit in ("gon", "rad"))
@@ -94,6 +99,8 @@ DEGREES_FOR_GON = WrongColumnConversion(
 
 UNIT_AND_CONVENTION_ERRORS = (
     *ERRORS_IN_DEGREES_AND_MILLIMETRES,
+    _length_unit_error("foot-metre", "feet", 304.8, "metres", 1e3),
+    _length_unit_error("metre-foot", "metres", 1e3, "feet", 304.8),
     DEGREES_FOR_GON,
     WrongColumnConversion("degree-azimuth", "degrees", "gon of the azimuth", ((1, 1.0 / GON_PER_DEGREE, 0.0),)),
     WrongColumnConversion("degree-elevation", "degrees", "gon of the elevation", ((2, 1.0 / GON_PER_DEGREE, 0.0),)),

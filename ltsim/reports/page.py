@@ -119,9 +119,9 @@ def document_of_folder(
         When there is nothing to report, or a file directly in the folder is malformed.
     """
     if not folder.is_dir():
-        raise RecordError("this folder does not exist; give a folder that a command wrote", file=folder)
+        raise RecordError("the folder does not exist; give a folder that a command wrote", file=folder)
     page_parts = _page_parts(folder, recording)
-    sections = [replace(made, folder=part.folder.name) for part, made in _part_sections(page_parts, folder)]
+    sections = [replace(made, folder=part.folder.name) for part, made in _page_parts_with_sections(page_parts, folder)]
     sections.sort(key=lambda made: made.kind == UNREADABLE_SECTION_KIND)
     first_section = sections[0]
     return Document(
@@ -207,7 +207,7 @@ def _page_parts(folder: Path, recording: Path | None) -> list[PagePart]:
     ]
 
 
-def _part_sections(page_parts: list[PagePart], page_folder: Path) -> Iterator[tuple[PagePart, Section]]:
+def _page_parts_with_sections(page_parts: list[PagePart], page_folder: Path) -> Iterator[tuple[PagePart, Section]]:
     """Parts of a page with their sections; the first recording is shown in 3D, others from above.
 
     All recordings are shown from above if `page_folder` holds a diagnosis and no `truth.json`, to keep the page small.

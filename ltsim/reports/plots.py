@@ -56,7 +56,7 @@ def figure_of(result: Result) -> Figure:
     raise ModelError(f"a {type(result).__name__} has no figure")
 
 
-def _draws(class_path: str) -> Callable[[FigureFunction], FigureFunction]:
+def _register_figure_function(class_path: str) -> Callable[[FigureFunction], FigureFunction]:
     """Decorator that registers the function that draws results of the class `class_path` (module and name)."""
 
     def register(draw: FigureFunction) -> FigureFunction:
@@ -73,40 +73,40 @@ FIGURE_FUNCTION_BY_CLASS |= {
 }
 
 
-@_draws("ltsim.simulation.scenario.Scenario")
+@_register_figure_function("ltsim.simulation.scenario.Scenario")
 def _scenario_figure(result: Scenario) -> Figure:
     from ltsim.reports.workshop_scene import workshop_from_scenario
 
     return figures.floor_plan.floor_plan(workshop_from_scenario(result))
 
 
-@_draws("ltsim.recordings.recording.Recording")
+@_register_figure_function("ltsim.recordings.recording.Recording")
 def _recording_figure(result: Recording) -> Figure:
     from ltsim.reports.workshop_scene import workshop_from_recording
 
     return figures.floor_plan.floor_plan(workshop_from_recording(result))
 
 
-@_draws("ltsim.reports.verbs.View")
+@_register_figure_function("ltsim.reports.verbs.View")
 def _view_figure(result: View) -> Figure:
     return figures.floor_plan.floor_plan(result.workshop)
 
 
-@_draws("ltsim.adjustment.adjustment.Adjustment")
+@_register_figure_function("ltsim.adjustment.adjustment.Adjustment")
 def _adjustment_figure(result: Adjustment) -> Figure:
     from ltsim.reports.residuals import Residuals
 
     return figures.residuals.residuals_by_station_figure(Residuals.from_adjustment(result))
 
 
-@_draws("ltsim.measurands.uncertainty.Uncertainty")
+@_register_figure_function("ltsim.measurands.uncertainty.Uncertainty")
 def _uncertainty_figure(result: Uncertainty) -> Figure:
     from ltsim.reports.sections.simple_sections import uncertainty_budget_figure
 
     return uncertainty_budget_figure(result)
 
 
-@_draws("ltsim.calibration.calibration.Calibration")
+@_register_figure_function("ltsim.calibration.calibration.Calibration")
 def _calibration_figure(result: Calibration) -> Figure:
     if result.instrument_parameter_names:
         return figures.parameters.parameter_estimates_figure(result.parameters)
@@ -115,14 +115,14 @@ def _calibration_figure(result: Calibration) -> Figure:
     return figure_of(result.adjustment)
 
 
-@_draws("ltsim.adjustment.evaluation.criteria.Criteria")
+@_register_figure_function("ltsim.adjustment.evaluation.criteria.Criteria")
 def _criteria_figure(result: Criteria) -> Figure:
     if result.distance.after is None:
         raise ModelError("criteria without a calibration have no figure; call evaluate with a calibration")
     return figures.parameters.criteria_before_after_figure(result.table())
 
 
-@_draws("ltsim.diagnosis.diagnosis.Diagnosis")
+@_register_figure_function("ltsim.diagnosis.diagnosis.Diagnosis")
 def _diagnosis_figure(result: Diagnosis) -> Figure:
     """Figure of a diagnosis: curve or residuals of the first finding; without findings, the residuals."""
     from ltsim.reports.residuals import Residuals
@@ -136,14 +136,14 @@ def _diagnosis_figure(result: Diagnosis) -> Figure:
     return figures.residuals.residuals_by_covariate_figure(after)
 
 
-@_draws("ltsim.calibration.history.History")
+@_register_figure_function("ltsim.calibration.history.History")
 def _history_figure(result: History) -> Figure:
     if not result.determined_parameters:
         raise ModelError("no parameter of these calibrations is determined; there is no figure")
     return figures.parameters.parameter_history_figure(result.labels, result.determined_parameters)
 
 
-@_draws("ltsim.planning.result.Plan")
+@_register_figure_function("ltsim.planning.result.Plan")
 def _plan_figure(result: Plan) -> Figure:
     """Figure of a plan: the floor with the chosen layout, as in floor.png of a plan's folder."""
     from ltsim.planning.result import scenario_of_plan
@@ -155,7 +155,7 @@ def _plan_figure(result: Plan) -> Figure:
     )
 
 
-@_draws("ltsim.adjustment.evaluation.bench.BenchFile")
+@_register_figure_function("ltsim.adjustment.evaluation.bench.BenchFile")
 def _bench_test_figure(result: BenchFile) -> Figure:
     """Figure of a bench test: the reflector's range error with two sigmas, and the measured lengths."""
     lines = {
@@ -170,7 +170,7 @@ def _bench_test_figure(result: BenchFile) -> Figure:
     )
 
 
-@_draws("ltsim.simulation.injector.DetectionCurve")
+@_register_figure_function("ltsim.simulation.injector.DetectionCurve")
 def _detection_curve_figure(result: DetectionCurve) -> Figure:
     """Figure of a detection curve: fractions of detected, located and named injections, with 95 % intervals."""
     lines = {
@@ -181,7 +181,7 @@ def _detection_curve_figure(result: DetectionCurve) -> Figure:
     return figures.parameters.lines_with_intervals_figure(strengths, lines, "noncentrality", "share, 95 % interval")
 
 
-@_draws("ltsim.campaigns.recovery.Recovery")
+@_register_figure_function("ltsim.campaigns.recovery.Recovery")
 def _recovery_figure(result: Recovery) -> Figure:
     """Figure of a recovery: errors of each parameter divided by the declared sigmas, or by their rms without sigmas."""
     trials = result.arrays
@@ -198,13 +198,13 @@ def _recovery_figure(result: Recovery) -> Figure:
     )
 
 
-@_draws("ltsim.planning.proposals.NextMeasurement")
+@_register_figure_function("ltsim.planning.proposals.NextMeasurement")
 def _next_measurement_figure(result: NextMeasurement) -> Figure:
     shares = {p.action: (100 * (1 - p.remaining_sigma_fraction),) * 3 for p in result.proposals[:MAX_DRAWN_PROPOSALS]}
     return figures.parameters.values_with_intervals_figure(shares, "sigmas of the instrument's parameters fall by [%]")
 
 
-@_draws("ltsim.campaigns.calibration_comparison.HeldOutPointErrors")
+@_register_figure_function("ltsim.campaigns.calibration_comparison.HeldOutPointErrors")
 def _held_out_point_errors_figure(result: HeldOutPointErrors) -> Figure:
     example = next(iter(result.errors_by_calibration.values()))
     rows = {name: (error.calibrated_rms / MICROMETRE,) * 3 for name, error in result.errors_by_calibration.items()}
@@ -215,7 +215,7 @@ def _held_out_point_errors_figure(result: HeldOutPointErrors) -> Figure:
     return figures.parameters.values_with_intervals_figure(rows, "error of a new point [um]", reference_values=ends)
 
 
-@_draws("ltsim.campaigns.results.PairedDifferences")
+@_register_figure_function("ltsim.campaigns.results.PairedDifferences")
 def _paired_differences_figure(result: PairedDifferences) -> Figure:
     rows = {
         ", ".join([e.statistic, *(f"{name} {value}" for name, value in e.shared_levels.items())]): (

@@ -137,17 +137,17 @@ class Residuals:
         """Residuals with the covariates of the same readings in `source`; unchanged if `source` is None."""
         if source is None:
             return self
-        source_rows = self._indices_in(source)
+        source_rows = self._row_indices_in(source)
         covariates = {name: np.append(column, np.nan)[source_rows] for name, column in source.covariates.items()}
         return replace(self, covariates=covariates)
 
     def normalised_by_noise_of(self, reference: Residuals) -> Residuals:
         """Copy of the residuals, divided by the standard deviations that the same readings have in `reference`."""
-        sigma = np.append(reference.sigma, np.nan)[self._indices_in(reference)]
+        sigma = np.append(reference.sigma, np.nan)[self._row_indices_in(reference)]
         with np.errstate(divide="ignore", invalid="ignore"):
             return replace(self, normalised_residual=self.displayed_residual / (sigma * np.sqrt(self.redundancy)))
 
-    def _indices_in(self, reference: Residuals) -> Ints:
+    def _row_indices_in(self, reference: Residuals) -> Ints:
         """Index (n,) in `reference` of each of n readings (same data row and observable); -1 for a missing reading."""
         row_by_key = {
             key: i

@@ -336,7 +336,7 @@ def _draw_correction_arrows(plotter: pv.Plotter, workshop: WorkshopScene, legend
 def _draw_names(plotter: pv.Plotter, workshop: WorkshopScene, legend_lines: list[str]) -> None:
     """Draw names facing the camera, stations first; names that would cover others are listed in the legend."""
     eye = np.array(plotter.camera.position)
-    axes = _facing_axes(eye - np.array(plotter.camera.focal_point))
+    axes = _axes_across_view(eye - np.array(plotter.camera.focal_point))
     size, drawn_boxes, omitted_names = 0.026 * workshop.largest_extent, list[tuple[Floats, Floats]](), list[str]()
     groups = [
         ("station-names", workshop.stations, workshop.station_positions, 0.15 + size, 1.5 * size, style.INK_COLOUR)
@@ -346,7 +346,7 @@ def _draw_names(plotter: pv.Plotter, workshop: WorkshopScene, legend_lines: list
     for key, names, places, height_above, height, colour in groups:
         words = []
         for name, place in zip(names, places + np.array([0.0, 0.0, height_above]), strict=True):
-            word = _letter_mesh(name, place, axes, height)
+            word = _name_mesh(name, place, axes, height)
             if not word.n_points:  # characters without a glyph
                 continue
             projected = (word.points - eye) @ axes.T
@@ -362,7 +362,7 @@ def _draw_names(plotter: pv.Plotter, workshop: WorkshopScene, legend_lines: list
         legend_lines.append(f"omitted names: {names_text(omitted_names, MAX_LISTED_OMITTED_NAMES)}")
 
 
-def _facing_axes(direction: Floats) -> Floats:
+def _axes_across_view(direction: Floats) -> Floats:
     """Unit vectors (3, 3) of a plane perpendicular to `direction` (3,): right, up, and along the direction."""
     outwards = direction / np.linalg.norm(direction)
     right_axis = np.cross([0.0, 0.0, 1.0] if abs(outwards[2]) < 1 - 1e-9 else [-1.0, 0.0, 0.0], outwards)
@@ -370,7 +370,7 @@ def _facing_axes(direction: Floats) -> Floats:
     return np.stack([right_axis, np.cross(outwards, right_axis), outwards])
 
 
-def _letter_mesh(name: str, place: Floats, axes: Floats, height: float) -> pv.PolyData:
+def _name_mesh(name: str, place: Floats, axes: Floats, height: float) -> pv.PolyData:
     """Mesh of a name at the point `place` with letters of a height [m], in the plane of `axes` (3, 3)."""
     text = style.shortened_name(name, 16).replace("…", "..").encode("latin-1", "replace").decode("latin-1")
     mesh = pv.Text3D(text, depth=0.0, height=height, center=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))

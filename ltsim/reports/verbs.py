@@ -107,11 +107,11 @@ def view(
     check_argument_choice("colour", colour, ("incidence", "residual"))
     cad_path = None if cad is None else path_argument("cad", cad)
     require_extra(("pyvista", "trame_vtk"), "3D views", "view")
-    workshop = _workshop_of(source).with_sights_coloured_by(colour)
+    workshop = _workshop_scene_of(source).with_sights_coloured_by(colour)
     return View(workshop if cad_path is None else workshop_with_cad(workshop, cad_path, cad_unit, cad_up))
 
 
-def _workshop_of(source: Recording | Scenario | str | Path) -> WorkshopScene:
+def _workshop_scene_of(source: Recording | Scenario | str | Path) -> WorkshopScene:
     """Scene of a scenario or a recording; a name without a file is taken as a built-in scenario."""
     from ltsim.simulation.verbs import scenario  # loads the simulator, which no page needs
 

@@ -157,11 +157,11 @@ def _triangles_in_file_units(path: Path, metres_per_unit: float) -> Floats:
             ".glb, or as .gltf with embedded data"
         )
     triangles = read_triangles(path)
-    _require_precision(path, triangles, metres_per_unit)
+    _require_single_precision(path, triangles, metres_per_unit)
     return triangles
 
 
-def _require_precision(path: Path, triangles: Floats, metres_per_unit: float) -> None:
+def _require_single_precision(path: Path, triangles: Floats, metres_per_unit: float) -> None:
     """Check that single-precision coordinates of m triangles (m, 3, 3) have a spacing of at most 1 mm.
 
     `metres_per_unit` [m] is the unit of the coordinates. Raises InputError for a larger spacing

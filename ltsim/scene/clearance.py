@@ -53,15 +53,15 @@ class StandClearance:
         Edges of triangles are tested only if no corner is in the cylinder: of a CAD file with many triangles, a corner
         is nearly always in the cylinder if any part is.
         """
-        stand, triangle = self._triangles_around(position)
+        stand, triangle = self._triangles_near_stands(position)
         corners, stands = self.obstacles.triangles[triangle], position[stand, None]
-        is_between = (corners[:, :, 2] > self._floor) & (corners[:, :, 2] < stands[:, :, 2])
+        is_between = (corners[:, :, 2] > self._floor_height) & (corners[:, :, 2] < stands[:, :, 2])
         squares = np.sum((corners[:, :, :2] - stands[:, :, :2]) ** 2, axis=2)
         radius = max(self.radius - CLEARANCE_TOLERANCE, 0.0)
         has_room = np.ones(len(position), dtype=bool)
         has_room[stand[(is_between & (squares < radius**2)).any(axis=1)]] = False
         is_open = has_room[stand]
-        distances = _horizontal_distances(position[stand[is_open]], corners[is_open], self._floor)
+        distances = _horizontal_distances(position[stand[is_open]], corners[is_open], self._floor_height)
         has_room[stand[is_open][distances < radius]] = False
         return has_room
 
@@ -70,9 +70,9 @@ class StandClearance:
 
         The distance is infinite without such a body, and the name is empty for a body without a name.
         """
-        _, triangle = self._triangles_around(position[None])
+        _, triangle = self._triangles_near_stands(position[None])
         places = np.repeat(position[None], len(triangle), axis=0)
-        distances = _horizontal_distances(places, self.obstacles.triangles[triangle], self._floor)
+        distances = _horizontal_distances(places, self.obstacles.triangles[triangle], self._floor_height)
         if not distances.min(initial=np.inf) <= self.radius:
             return np.inf, ""
         nearest, names = int(np.argmin(distances)), self.obstacles.body_names_and_triangle_counts
@@ -81,11 +81,11 @@ class StandClearance:
         return float(distances[nearest]), body
 
     @property
-    def _floor(self) -> float:
+    def _floor_height(self) -> float:
         """Height [m] above which triangles count: just above the floor, which may be a body itself."""
         return self.obstacles.floor_height + RAY_BUNDLE_RADIUS
 
-    def _triangles_around(self, position: Floats) -> tuple[Ints, Ints]:
+    def _triangles_near_stands(self, position: Floats) -> tuple[Ints, Ints]:
         """Indices (k,) of stands and indices (k,) of triangles: k pairs whose triangle may be in the cylinder.
 
         The stands are those at N instrument positions `position` (N, 3) [m].
@@ -93,12 +93,12 @@ class StandClearance:
         x, y, top = position.T
         boxes = shapely.box(x - self.radius, y - self.radius, x + self.radius, y + self.radius)
         stand, triangle = self._triangle_tree.query(boxes)
-        lowest, highest = self._triangle_heights
-        is_between = (highest[triangle] > self._floor) & (lowest[triangle] < top[stand])
+        lowest, highest = self._triangle_height_limits
+        is_between = (highest[triangle] > self._floor_height) & (lowest[triangle] < top[stand])
         return stand[is_between], triangle[is_between]
 
     @cached_property
-    def _triangle_heights(self) -> tuple[Floats, Floats]:
+    def _triangle_height_limits(self) -> tuple[Floats, Floats]:
         """Lowest and highest height (m,) [m] of each of m triangles."""
         heights = self.obstacles.triangles[:, :, 2]
         return heights.min(axis=1), heights.max(axis=1)

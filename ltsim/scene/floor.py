@@ -18,7 +18,6 @@ from ltsim.core.errors import InputError
 from ltsim.core.limits import MAX_FLOOR_PLAN_ELEMENTS
 from ltsim.core.units import MILLIMETRE
 from ltsim.recordings.setup import Finite, NonNegative, Positive, TomlSection
-from ltsim.scene.meshes import Obstacles
 
 PlanPoint = tuple[Finite, Finite]
 """Coordinates x and y [mm] of a point on the floor."""
@@ -266,55 +265,6 @@ def tripod_grid_spacing(standing_areas: Sequence[StandingArea], requested_step_m
         return requested_step_mm * MILLIMETRE
     total_area = sum(float(np.prod(np.ptp(area.outline, axis=0))) for area in standing_areas)
     return max(round(float(np.sqrt(total_area / N_DEFAULT_TRIPOD_POSITIONS)), 1), 0.5)
-
-
-def is_allowed_position(
-    standing_areas: Sequence[StandingArea],
-    keep_out_areas: Sequence[KeepOutArea],
-    obstacles: Obstacles | None,
-    position: Floats,
-) -> Bools:
-    """Flags (N,) of those of N instrument positions (N, 3) [m] under which a tripod may stand.
-
-    Such a position is over a standing area, not over a keep-out area, and not inside an obstacle.
-    """
-    is_allowed = np.zeros(len(position), dtype=bool)
-    for area in standing_areas:
-        is_allowed |= area.contains_instrument(position)
-    for place in keep_out_areas:
-        is_allowed &= ~place.contains_positions(position[:, :2])
-    if obstacles is not None and is_allowed.any():
-        is_allowed[is_allowed] = ~obstacles.is_setup_inside_body(position[is_allowed])
-    return is_allowed
-
-
-def tripod_refusal_reason(
-    standing_areas: Sequence[StandingArea],
-    keep_out_areas: Sequence[KeepOutArea],
-    obstacles: Obstacles | None,
-    position: Floats,
-) -> str:
-    """Reason, as text for users, why no tripod may stand under an instrument position (3,) [m]; empty if one may.
-
-    The text names the key of the plan file that forbids the position.
-    """
-    if is_allowed_position(standing_areas, keep_out_areas, obstacles, position[None])[0]:
-        return ""
-    place, areas_below = (
-        position[None, :2],
-        [area for area in standing_areas if area.covers_positions(position[None, :2])[0]],
-    )
-    if not areas_below:
-        return "outside the permitted floor (floor.corners_mm, floor.areas, floor.margin_mm)"
-    if not any(area.contains_instrument(position[None])[0] for area in areas_below):
-        lowest, highest = zip(*(area.head_height_range for area in areas_below), strict=True)
-        low, high = min(lowest), max(highest)
-        span = height_range_text(low, high)
-        return f"with its head at {position[2] / MILLIMETRE:.0f} mm, expected {span} (floor.height_mm)"
-    if any(free.contains_positions(place)[0] for free in keep_out_areas):
-        return "in an area to be kept free (floor.keep_outs, floor.doors)"
-    names = [] if obstacles is None else obstacles.body_names_around(position[None], of_setups=True)
-    return f"inside an obstacle (workshop.obstacles{': ' if names else ''}{', '.join(names)})"
 
 
 def height_range_text(lowest: float, highest: float) -> str:

@@ -302,29 +302,27 @@ def wall_triangles(hall_size: Floats) -> Floats:
     return body[np.ptp(body[..., 2], axis=1) > 0.0][:, ::-1]
 
 
-def join_obstacles(
-    triangle_sets: Iterable[Floats], floor_height: float = 0.0, body_names: Sequence[str] = ()
-) -> Obstacles:
-    """Obstacles from several sets of m triangles, each (m, 3, 3) [m], above a floor at `floor_height` [m].
+def join_obstacles(triangle_sets: Iterable[Floats], *, body_names: Sequence[str] = ()) -> Obstacles:
+    """Obstacles from several sets of m triangles, each (m, 3, 3) [m], above a floor at height zero.
 
-    `body_names` are the names of the sets. If triangles, floor and names are those of the latest call, its object is
+    `body_names` are the names of the sets. If triangles and names are those of the latest call, its object is
     returned again. This saves memory: the ray caster takes 600 bytes per triangle, which only garbage collection frees.
     """
     parts = list(triangle_sets)
     triangles = np.concatenate([np.zeros((0, 3, 3)), *parts])
     body_names_and_triangle_counts = tuple(zip(body_names, map(len, parts), strict=True)) if body_names else ()
-    key = blake2b(triangles.ravel().data).digest(), floor_height, body_names_and_triangle_counts
+    key = blake2b(triangles.ravel().data).digest(), body_names_and_triangle_counts
     latest = _LATEST_OBSTACLES.get(key)
     if latest is None:
         triangles.flags.writeable = False
-        latest = Obstacles(triangles, floor_height, body_names_and_triangle_counts)
+        latest = Obstacles(triangles, body_names_and_triangle_counts=body_names_and_triangle_counts)
         _LATEST_OBSTACLES.clear()
         _LATEST_OBSTACLES[key] = latest
     return latest
 
 
-_LATEST_OBSTACLES: dict[tuple[bytes, float, tuple[tuple[str, int], ...]], Obstacles] = {}
-"""Obstacles of the latest call of `join_obstacles`, by digest of the triangles, height of the floor, and bodies."""
+_LATEST_OBSTACLES: dict[tuple[bytes, tuple[tuple[str, int], ...]], Obstacles] = {}
+"""Obstacles of the latest call of `join_obstacles`, by digest of the triangles, and bodies."""
 
 
 def candidate_nest_positions(

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ltsim.core.arrays import Bools, Floats, Ints, as_finite_floats
 from ltsim.core.errors import ModelError
 from ltsim.core.units import DEGREE
+from ltsim.recordings.setup import ElevationLimits
 from ltsim.scene.meshes import Obstacles
 
 DOWNWARD_DIRECTION = np.array([0.0, 0.0, -1.0])
@@ -55,9 +56,9 @@ INVISIBILITY_REASON_TEXTS = (
 class SightLimits:
     """Limits within which an instrument measures a reflector: elevation, range, incidence, shadow of its stand."""
 
-    elevation_min: float = -55.0 * DEGREE
+    elevation_min: float = ElevationLimits().elevation_min_deg * DEGREE
     """Lowest elevation [rad] of the instrument."""
-    elevation_max: float = 77.0 * DEGREE
+    elevation_max: float = ElevationLimits().elevation_max_deg * DEGREE
     """Highest elevation [rad] of the instrument."""
     range_min: float = 0.5
     """Shortest measurable range [m]."""

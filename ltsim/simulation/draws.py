@@ -109,15 +109,21 @@ class _SingleTrialSource(StandardNormalSource):
 
 
 @dataclass(frozen=True)
-class DrawnTrialValues:
-    """Random values drawn for several trials; the last axis of each array is the trial."""
+class TrueTrialValues:
+    """True parameters of several trials; the last axis of each array is the trial."""
 
     trial_numbers: Ints
-    """Numbers of the trials in the campaign, shape (trials,)."""
+    """Numbers of the trials in the campaign, (trials,)."""
     instrument_values: Floats
-    """True instrument parameters, shape (instruments, parameters, trials) [SI]."""
+    """True instrument parameters, (instruments, parameters, trials) [SI]."""
     effect_values: tuple[Floats, ...]
-    """True parameters of each effect, shape (parameters, trials) [SI]."""
+    """True parameters of each effect of the scenario, each (effect parameters, trials) [SI]."""
+
+
+@dataclass(frozen=True)
+class DrawnTrialValues(TrueTrialValues):
+    """Random values drawn for several trials; the last axis of each array is the trial."""
+
     reading_errors: Floats
     """Random errors of the readings, shape (pointings, 3, trials) [m, rad, rad]."""
     certified_lengths: Floats

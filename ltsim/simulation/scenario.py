@@ -158,7 +158,7 @@ def change_scenario(scenario: Scenario, changes: Mapping[str, Any], file: Path, 
     of_sheets = [key for key, value in changes.items() if key.endswith(".preset") and value in data_sheet_names()]
     brought += [key.removesuffix("preset") + "limits" for key in of_sheets]
     for key, value in [*((key, KEY_REMOVAL_VALUE) for key in brought), *changes.items()]:
-        _set_key(table, key, _toml_value(value, effects=key == "effects"), error_location or str(file))
+        _assign_dotted_key(table, key, _toml_value(value, effects=key == "effects"), error_location or str(file))
     return validate_scenario(table, file)
 
 
@@ -173,7 +173,7 @@ def _toml_value(value: Any, *, effects: bool) -> Any:
     return [e.model_dump(mode="json", exclude_defaults=True) if isinstance(e, EffectEntry) else e for e in entries]
 
 
-def _set_key(table: dict[str, Any], key: str, value: Any, error_location: str) -> None:
+def _assign_dotted_key(table: dict[str, Any], key: str, value: Any, error_location: str) -> None:
     """Assignment of a value to one dotted key in nested tables.
 
     Entries of lists are numbered from 1. The value `KEY_REMOVAL_VALUE` removes the key.

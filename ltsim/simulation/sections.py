@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import AfterValidator, Field, StrictBool, model_validator
 
 from ltsim.core.errors import InputError, ModelError
-from ltsim.core.units import MICROMETRE
+from ltsim.core.units import MICROMETRE, MILLIMETRE
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.smr_incidence import INCIDENCE_TABLE_ANGLES, PAPER_INCIDENCE_RANGE_ERRORS
 from ltsim.physics.effects.verbs import SizedEffect, displayed_shape_parameters, make_effect
@@ -24,6 +24,7 @@ from ltsim.recordings.setup import (
     Vector,
 )
 from ltsim.recordings.specification import data_sheet_names
+from ltsim.scene.visibility import SightLimits
 
 AngleDegrees = Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]
 """Rotation or direction [deg]."""
@@ -145,9 +146,9 @@ class Resolution(TomlSection):
 class PointingLimits(ElevationLimits):
     """Limits of elevation and range within which a tracker can point."""
 
-    range_min_mm: NonNegative = 500.0
+    range_min_mm: NonNegative = SightLimits.range_min / MILLIMETRE
     """Shortest range that can be measured."""
-    range_max_mm: Positive = 20_000.0
+    range_max_mm: Positive = SightLimits.range_max / MILLIMETRE
     """Longest range that can be measured."""
 
     @model_validator(mode="after")

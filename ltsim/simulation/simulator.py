@@ -104,7 +104,10 @@ def error_free_recording(geometry: MeasurementGeometry) -> Recording:
     )
     blank = with_exact_reference_lengths(bare_recording, geometry)
     return blank.replace(
-        notes=(*geometry.hidden_pair_notes, *_ineffective_reason(geometry, ReferenceLengths.from_recording(blank)))
+        notes=(
+            *geometry.hidden_pair_notes,
+            *_ineffective_effect_sentences(geometry, ReferenceLengths.from_recording(blank)),
+        )
     )
 
 
@@ -175,7 +178,7 @@ def ineffective_effect_notes(geometry: MeasurementGeometry) -> Iterator[str]:
     yield from error_free_recording(geometry).notes[len(geometry.hidden_pair_notes) :]
 
 
-def _ineffective_reason(geometry: MeasurementGeometry, lengths: ReferenceLengths) -> Iterator[str]:
+def _ineffective_effect_sentences(geometry: MeasurementGeometry, lengths: ReferenceLengths) -> Iterator[str]:
     """Sentence on each effect that changes neither a reading nor a reference length."""
     for effect in geometry.effects:
         if isinstance(effect, NoiseEffect) or np.any(effect.design(geometry.sightings)):
@@ -201,8 +204,8 @@ def _declared_setup(geometry: MeasurementGeometry) -> Setup:
     return Setup(
         title=scenario.title,
         air=scenario.air,
-        instrument=_data_sheet(scenario.instrument) if "" in scenario.trackers_in_use else Instrument(),
-        instruments={name: _data_sheet(tracker) for name, tracker in scenario.instruments.items()},
+        instrument=_declared_data_sheet(scenario.instrument) if "" in scenario.trackers_in_use else Instrument(),
+        instruments={name: _declared_data_sheet(tracker) for name, tracker in scenario.instruments.items()},
         stations=stations,
         targets=_declared_targets(geometry),
         reflectors=scenario.reflectors,
@@ -210,18 +213,18 @@ def _declared_setup(geometry: MeasurementGeometry) -> Setup:
     )
 
 
-def _data_sheet(tracker: ScenarioInstrument) -> Instrument:
+def _declared_data_sheet(tracker: ScenarioInstrument) -> Instrument:
     """Declared noise, prior of the instrument errors, and limits of a tracker."""
     return Instrument(
         construction="steering-mirror" if tracker.construction == "steering-mirror" else "source-in-head",
         corrected=tracker.corrected,
         noise=tracker.noise,
-        prior=_nominal_prior(tracker),
+        prior=_declared_prior(tracker),
         limits=ElevationLimits(**tracker.limits.model_dump(include=set(ElevationLimits.model_fields))),
     )
 
 
-def _nominal_prior(tracker: ScenarioInstrument) -> Prior:
+def _declared_prior(tracker: ScenarioInstrument) -> Prior:
     """Prior that the recording declares: the tracker's prior with standard deviations times `prior_factor`."""
     kinds = tracker.prior.model_dump()
     sigma_by_parameter = {name: tracker.prior_factor * value for name, value in kinds.pop("parameters").items()}

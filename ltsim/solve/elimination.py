@@ -24,6 +24,7 @@ import scipy.sparse as sp
 
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import NetworkError
+from ltsim.core.parallel import single_threaded
 from ltsim.solve.chain import BlockChainFactor, inverse_from_cholesky
 from ltsim.solve.design import (
     DESIGN_RANK_TOLERANCE,
@@ -35,7 +36,7 @@ from ltsim.solve.design import (
     scale_columns,
     scale_to_unit_diagonal,
 )
-from ltsim.solve.threads import single_threaded
+from ltsim.solve.row_groups import dense_row_groups
 
 
 class DenseElimination:
@@ -64,18 +65,18 @@ class DenseElimination:
         return scipy.linalg.lapack.dpotrs(self._cholesky_factor, right_hand_sides, lower=1)[0]
 
     @cached_property
-    def _inverse(self) -> Floats:
+    def _inverse_normal_matrix(self) -> Floats:
         """Inverse (K + 3 E, K + 3 E) of the normal matrix, in units of the scaled columns."""
         return inverse_from_cholesky(self._cholesky_factor)
 
     @property
     def retained_inverse(self) -> Floats:
         """Part (K, K) of the inverse normal matrix for the K retained unknowns."""
-        return self._inverse[: self._n_retained, : self._n_retained]
+        return self._inverse_normal_matrix[: self._n_retained, : self._n_retained]
 
     def inverse_submatrices(self, columns: Ints) -> Floats:
         """Parts (c, k, k) of the inverse normal matrix for c sets of k retained unknowns, indices `columns` (c, k)."""
-        return self._inverse[columns[:, :, None], columns[:, None, :]]
+        return self._inverse_normal_matrix[columns[:, :, None], columns[:, None, :]]
 
     @cached_property
     def inverse_blocks_and_leverage(self) -> tuple[Floats, Floats]:
@@ -168,20 +169,19 @@ class SparseElimination:
             sp.csr_array(self._elimination_coefficients.T),
         )
         front = scale_columns(sp.csr_array(self._design[order][:, : self._n_retained]), self.column_scales)
-        for g, (low, high) in enumerate(pairwise(edges.tolist())):
-            mine = order[low:high]
+        block_edges = 3 * np.minimum(np.arange(len(edges)), len(blocks))
+        groups = dense_row_groups([front, carries], [edges, block_edges])
+        for g, (columns, (reduced, carry)) in enumerate(groups):
+            mine = order[edges[g] : edges[g + 1]]
             if g < len(blocks):
-                carry, columns = dense_rows(carries, 3 * g, 3 * g + 3)
                 behind = back[mine] * scale[g]
                 leverage[mine] = np.sum((behind @ self._block_inverses[g]) * behind, axis=1)
-                reduced = dense_rows(front, low, high, columns)[0] - behind @ carry
-            else:
-                carry, (reduced, columns) = None, dense_rows(front, low, high)
+                reduced = reduced - behind @ carry
             window = self._schur_factor.inverse_submatrices_by_block[int(self._first_chain_block(columns, axis=0))]
             at = window.positions_of_columns[columns]
             inverse = window.inverse[at[:, None], at]
             leverage[mine] += np.sum((reduced @ inverse) * reduced, axis=1)
-            if carry is not None:
+            if g < len(blocks):
                 blocks[g] += carry @ inverse @ carry.T
         return blocks, leverage
 

@@ -69,7 +69,7 @@ def _optimal_vertex(design: Floats, observations: Floats, start_solution: Floats
     `start_solution` (k,) contains the values of the unknowns near which the first solution with k zero residuals is
     selected.
     """
-    vertex_rows = _first_vertex(design, observations, start_solution)
+    vertex_rows = _initial_vertex(design, observations, start_solution)
     for _ in range(MAX_DESCENT_EDGES):
         inverse = np.linalg.inv(design[vertex_rows])
         residual = observations - design @ (inverse @ observations[vertex_rows])
@@ -87,7 +87,7 @@ def _optimal_vertex(design: Floats, observations: Floats, start_solution: Floats
     )
 
 
-def _first_vertex(design: Floats, observations: Floats, start_solution: Floats) -> Ints:
+def _initial_vertex(design: Floats, observations: Floats, start_solution: Floats) -> Ints:
     """Indices (k,) of k linearly independent rows with small residuals at the values `start_solution` (k,).
 
     The first solution of a descent has zero residuals in these rows.

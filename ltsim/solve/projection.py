@@ -144,14 +144,14 @@ class FactorResidualProjector:
 
         For at most `MAX_STORED_BLOCK_ROWS` rows the submatrix of the projector on these rows is stored and used.
         """
-        block = self._stored_block(row_selection)
+        block = self._cached_projector_block(row_selection)
         if block is None:
             return _group_gram_matrices(self._projected_sparse_vectors(columns, row_selection), group_boundaries)
         projected = block @ columns
         limits = pairwise(group_boundaries.tolist())
         return [columns[:, low:high].T @ projected[:, low:high] for low, high in limits]
 
-    def _stored_block(self, row_selection: Ints | slice) -> Floats | None:
+    def _cached_projector_block(self, row_selection: Ints | slice) -> Floats | None:
         """Submatrix (r, r) of the projector on r rows, computed once; None for over `MAX_STORED_BLOCK_ROWS` rows."""
         if isinstance(row_selection, slice) or not 0 < len(row_selection) <= MAX_STORED_BLOCK_ROWS:
             return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import warnings
 from collections.abc import Callable
 
@@ -10,7 +11,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment.structure import raise_for_singular_network
-from ltsim.core.errors import NetworkError
+from ltsim.core.errors import LtsimError, NetworkError
 from ltsim.recordings.recording import Recording
 from tests.campaigns.workshop import workshop
 from tests.cli.test_degenerate_networks import network
@@ -97,3 +98,12 @@ def test_an_exact_fit_with_estimated_noise_has_no_outlier() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert not lt.adjust(single, robust=True, noise_from_data=True).outliers
+
+
+def test_a_rejected_reading_is_not_tested_without_end() -> None:
+    """Two targets at one set-up and a gauge of 1,000 km: `adjust` left the same reading out again and again."""
+    _, recording = network(46099)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with contextlib.suppress(LtsimError):
+            lt.adjust(recording)

@@ -101,3 +101,30 @@ def test_a_wrong_height_of_a_set_up_with_two_pointings_is_no_physics(tmp_path: P
     (finding,) = diagnose(recording, held_out=False).findings
     assert finding.where.stations == ("B#2",)
     assert finding.sentence.startswith("The set-up of B#2 is off by 2")
+
+
+@pytest.mark.parametrize("reverses_rows", [False, True])
+def test_closed_traverse_in_space_with_lengths_of_the_neighbours(tmp_path: Path, *, reverses_rows: bool) -> None:
+    """Two of seven set-ups read no distance; each of their legs has a length from the opposite set-up."""
+    rng = np.random.default_rng(3)
+    angle = np.linspace(0.0, 2 * np.pi, 7, endpoint=False)
+    points = np.column_stack([200 * np.cos(angle), 150 * np.sin(angle), rng.normal(0, 3, 7)])
+    points[:, :2] += rng.normal(0, 15, (7, 2))
+    rows = []
+    for i in range(7):
+        zero = rng.uniform(0, 360)
+        for j in ((i - 1) % 7, (i + 1) % 7):
+            east, north, up = points[j] - points[i] + [0, 0, 1.70 - 1.55]
+            length = np.linalg.norm([east, north, up])
+            turn = (np.degrees(np.arctan2(east, north)) - zero + rng.normal(0, 3e-4)) % 360
+            zenith = np.degrees(np.arccos(up / length)) + rng.normal(0, 3e-4)
+            distance = "" if i in (1, 4) else f"{length + rng.normal(0, 1e-3):.4f}"
+            rows.append(f"T{i};T{j};1.55;1.70;{turn:.5f};{zenith:.5f};{distance}")
+    lines = ["Station;Target;IH;TH;Hz [deg];Zenith [deg];SD [m]", *(reversed(rows) if reverses_rows else rows)]
+    (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
+    adjustment = adjust(read(tmp_path / "a.csv"))
+    assert adjustment.dof == 14
+    order = [adjustment.recording.targets.index(f"T{i}") for i in range(7)]
+    places = adjustment.state.target_points[order]
+    sides, expected = (np.linalg.norm(p[:, None] - p[None], axis=2) for p in (places, points))
+    assert np.abs(sides - expected).max() < 0.01

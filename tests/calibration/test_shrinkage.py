@@ -74,8 +74,9 @@ def test_a_wrong_prior_is_reported_and_the_correction_still_corrects(factor: flo
     wrong = lt.calibrate(with_prior(recording, factor), advise=False)
     assert right.correction is not None
     assert wrong.correction is not None
-    assert not any("contradict the declared priors" in s for s in right.correction.sentences)
-    assert any("contradict the declared priors" in s for s in wrong.correction.sentences)
+    size = "larger" if factor < 1.0 else "smaller"
+    assert not any("than their prior sigmas" in s for s in right.correction.sentences)
+    assert any(f"{size} than their prior sigmas" in s for s in wrong.correction.sentences)
     assert wrong.correction.prior_scale * factor == pytest.approx(right.correction.prior_scale, rel=0.35)
     assert right.adjustment is not None
     by_value = point_error_matrix(right.adjustment)
@@ -249,6 +250,13 @@ def test_a_scale_beyond_the_prior_is_not_followed_where_the_readings_contradict_
     vector = information @ (6.0 * random_stream(3, "worth").standard_normal(16))
     followed, bent = ScaledPrior(information, vector), ScaledPrior(information, vector, sigma0=2.5)
     assert followed.shrunk_correction(by_unit)[0].any()
-    assert "the correction uses sigmas 5.6 times as large" in followed.scale_sentence
+    assert "larger than their prior sigmas: prior sigmas 5.6 times as large are most likely" in followed.scale_sentence
     assert not bent.shrunk_correction(by_unit)[0].any()
     assert "contradict each other by 2.5 times their noise" in bent.scale_sentence
+
+
+def test_an_instrument_without_errors_contradicts_no_prior(evidence: tuple[Floats, Floats]) -> None:
+    """Sigmas 0.0001 times as large as declared, and a contradiction, were reported for a clean instrument."""
+    information, _ = evidence
+    clean = ScaledPrior(information, np.zeros(16))
+    assert clean.scale_sentence.startswith("no error of the instrument is significant: its prior sigma is at most ")

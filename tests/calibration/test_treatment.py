@@ -96,7 +96,7 @@ def test_the_verdict_is_written_where_tests_conflict(make) -> None:
     assert verdict["case"] == "smaller noise"
     assert verdict["is_sigma0_credible"] is True
     with_noise = calibrate_network(quiet, recommend_measurements=False)
-    assert any("the noise was estimated instead" in note for note in with_noise.notes)
+    assert any("the estimated noise replaces it" in note for note in with_noise.notes)
     assert {n.observable: round(3 * n.factor) for n in with_noise.noise} == dict.fromkeys(OBSERVABLES, 1)
 
 

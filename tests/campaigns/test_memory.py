@@ -13,11 +13,14 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from ltsim.campaigns.batch_fit import MAX_DISTANCE_TO_OPTIMUM
+from ltsim.campaigns.batch_network import MAX_DISTANCE_TO_OPTIMUM
 from ltsim.campaigns.campaign import run_campaign
+from ltsim.campaigns.design import require_few_cells
+from ltsim.campaigns.row_queries import rows_sql
 from ltsim.campaigns.schema import ManifestFile
 from ltsim.campaigns.shard_rows import load_cell_context
 from ltsim.campaigns.spec import load_campaign
+from ltsim.campaigns.store import CampaignFolder
 from ltsim.campaigns.true_network import TrialBatch, TrueNetwork
 from ltsim.core.errors import InputError
 from ltsim.core.limits import POINTINGS_LIMIT_VARIABLE
@@ -125,7 +128,7 @@ def test_cells_whose_scenarios_no_reader_takes_are_refused_before_the_work(
 ) -> None:
     """The rows of 4,096 cells were computed, and then the manifest was refused."""
     file.write_text(FILE)
-    monkeypatch.setattr("ltsim.campaigns.cell_scenarios.MAX_MANIFEST_VALUES", 500)
+    monkeypatch.setattr("ltsim.campaigns.design.MAX_MANIFEST_VALUES", 500)
     with pytest.raises(
         InputError, match=r"the scenarios of 2 cells have \d+ values together, expected at most 500: div"
     ):
@@ -206,3 +209,29 @@ def test_the_manifest_has_the_text_that_json_gives(file: Path, tmp_path: Path) -
     assert len(json.loads(text)["scenarios"]) == 2
     assert text == json.dumps(json.loads(text), indent=1) + "\n"
     assert read_result(tmp_path / "out", ManifestFile).text() == text
+
+
+def test_files_with_equal_columns_are_not_united_by_names(file: Path, tmp_path: Path) -> None:
+    """3,660 files of 40 columns took 370 MB: the database kept a description of each."""
+    file.write_text(FILE.replace("trials = 600", "trials = 12"))
+    run_campaign(file, tmp_path / "out")
+    shards = CampaignFolder(tmp_path / "out").shard_paths()
+    sql, n_values = rows_sql(shards)
+    table = pq.read_table(shards[0])
+    assert len(shards) > 1 and sql.count("read_parquet") == 1 and "union_by_name" not in sql
+    assert n_values == len(shards) * len(table) * len(table.column_names)
+
+
+def test_scenarios_that_are_read_share_their_equal_parts(file: Path, tmp_path: Path) -> None:
+    file.write_text(FILE.replace("trials = 600", "trials = 12"))
+    run_campaign(file, tmp_path / "out")
+    first, second = (entry.model_extra for entry in CampaignFolder(tmp_path / "out").manifest().scenarios)
+    assert first and second and any(isinstance(v, list | dict) and v and v is second[k] for k, v in first.items())
+
+
+def test_a_campaign_with_too_many_statistics_is_refused() -> None:
+    require_few_cells(4096, [0])
+    with pytest.raises(ValueError, match="at most 150000 statistics, but 4096 cells with 2 methods have about 294912"):
+        require_few_cells(4096, [0, 0])
+    with pytest.raises(ValueError, match="at most 4096 cells"):
+        require_few_cells(4097, [0])

@@ -12,7 +12,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment.evaluation.clouds import removed_error_fraction
-from ltsim.campaigns.results import _matching_level
+from ltsim.campaigns.results import _requested_level
 from ltsim.campaigns.schema import RESULT_COLUMNS, find_result_column
 from ltsim.campaigns.shard_rows import ShardTask, make_shard_rows
 from ltsim.campaigns.spec import CampaignFile, make_validation_scenario
@@ -190,12 +190,12 @@ def test_every_column_of_rows_is_defined_once() -> None:
 @pytest.mark.parametrize("given", ["2 urad", 0.412529612494, 0.41253, 0.4125])
 def test_a_level_is_given_with_its_unit_or_rounded(given: object) -> None:
     levels = [0.9, 0.412529612494193, 2.0]
-    assert _matching_level("angle_noise_arcsec", given, levels) == levels[1]
+    assert _requested_level("angle_noise_arcsec", given, levels) == levels[1]
 
 
 @pytest.mark.parametrize("given", ["2 mm", 0.42, "small", True])
 def test_a_value_that_is_no_level_is_refused(given: object) -> None:
     with pytest.raises(ModelError, match=r"level of angle_noise_arcsec"):
-        _matching_level("angle_noise_arcsec", given, [0.9, 0.412529612494193, 2.0])
+        _requested_level("angle_noise_arcsec", given, [0.9, 0.412529612494193, 2.0])
     with pytest.raises(ModelError, match=r"level of angle_noise_arcsec"):
-        _matching_level("angle_noise_arcsec", 0.41253, [0.41252, 0.41254])
+        _requested_level("angle_noise_arcsec", 0.41253, [0.41252, 0.41254])

@@ -18,6 +18,7 @@ import tempfile
 import time
 import traceback
 import warnings
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
@@ -246,6 +247,10 @@ CASES: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("rec/observations.csv", ("compare", "rec", "rec")),
     ("rec/observations.csv", ("uncertainty", "tasks.toml")),
     *((f"small/{name}", ("diagnose", "small", "--no-held-out")) for name in ("observations.csv", "setup.toml")),
+    *(
+        (f"small/{name}", ("convert", "small", "converted.txt", "--to", "polar-text", "--force"))
+        for name in ("observations.csv", "setup.toml")
+    ),
     *(("rec/setup.toml", (verb, "rec")) for verb in ("adjust", "calibrate", "check")),
     ("rec/setup.toml", ("plan", "--after", "rec", "--json")),
     *(("control.csv", (verb, "rec", "--control", "{}")) for verb in ("adjust", "check")),
@@ -318,6 +323,38 @@ def slip(content: bytes, name: str, rng: np.random.Generator) -> bytes:
     return mutated(content, rng)
 
 
+def column_twice(content: bytes, name: str) -> bytes:
+    """Content with the second column of a table twice, or the first key of settings twice."""
+    lines = content.splitlines(keepends=True)
+    if name.endswith("toml"):
+        return b"".join(line * (2 if b" = " in line else 1) for line in lines)
+    mark = max((b";", b",", b"\t"), key=content.count)
+    cells = [line.rstrip(b"\r\n").split(mark) for line in lines]
+    return b"\n".join(mark.join([*row[:2], *row[1:]]) for row in cells) + b"\n"
+
+
+def column_gone(content: bytes, name: str) -> bytes:
+    """Content without the last column of a table, or without the last key of settings."""
+    lines = content.splitlines(keepends=True)
+    if name.endswith("toml"):
+        at = max(i for i, line in enumerate(lines) if b" = " in line)
+        return b"".join(lines[:at] + lines[at + 1 :])
+    mark = max((b";", b",", b"\t"), key=content.count)
+    return b"".join(line.rstrip(b"\r\n").rpartition(mark)[0] + b"\n" for line in lines)
+
+
+def old_line_ends(content: bytes, name: str) -> bytes:
+    return content.replace(b"\r\n", b"\n").replace(b"\n", b"\r")
+
+
+def beginning(content: bytes, name: str) -> bytes:
+    return content[: content.find(b"\n") + 1] or b" "
+
+
+CHANGES = (column_twice, column_gone, old_line_ends, beginning)
+"""Changes of a whole file of text, which random slips hardly ever make."""
+
+
 def _split(content: bytes, mark: bytes, number: int) -> tuple[bytes, bytes]:
     parts = content.split(mark)
     return mark.join(parts[: number + 1]) + mark, mark.join(parts[number + 1 :])
@@ -364,7 +401,8 @@ def results() -> None:
 def needs_results(number: int) -> bool:
     """True if a slip is one in a file that a verb makes, or that is read together with such a file."""
     name, words = CASES[number % len(CASES)]
-    return "/" in name or not {*words, name}.isdisjoint(("rec", "cal", "few", "control.csv", "later.csv", "tasks.toml"))
+    made = ("rec", "cal", "few", "control.csv", "later.csv", "tasks.toml")
+    return ("/" in name and not name.startswith("small/")) or not {*words, name}.isdisjoint(made)
 
 
 def _exported(body: trimesh.Trimesh, kind: str) -> bytes:
@@ -393,16 +431,24 @@ def _reported(seed: int, number: int) -> str:
         return f"slip {number} of seed {seed} in {name}, {' '.join(words)}, was not tried: {traceback.format_exc()}"
 
 
-def _fault(seed: int, number: int) -> str:
-    """Fault of one slip; empty for none."""
-    rng, whole = random_stream(seed, "verbs", number), number < len(CASES)
+def change_faults(numbers: list[int]) -> list[str]:
+    """Faults after each of `CHANGES` in the files of text among the cases of these numbers."""
+    warnings.simplefilter("ignore")
+    signal.signal(signal.SIGVTALRM, interrupt)
+    texts_only = [i for i in numbers if CASES[i][0].endswith((".csv", ".toml", ".txt"))]
+    return [fault for i in texts_only for change in CHANGES if (fault := _fault(0, i, change))]
+
+
+def _fault(seed: int, number: int, change: Callable[[bytes, str], bytes] | None = None) -> str:
+    """Fault of one slip, or of a change of the whole file; empty for none."""
+    rng, whole = random_stream(seed, "verbs", number), number < len(CASES) and change is None
     name, verb = CASES[number % len(CASES)]
     words = [name if word == "{}" else word for word in verb]
     file = workplace() / name
     if needs_results(number):
         results()
     before = _contents(file)
-    changed = before[file] if whole else slip(before[file], name, rng)
+    changed = before[file] if whole else change(before[file], name) if change else slip(before[file], name, rng)
     file.write_bytes(changed)
     held = _restarted_peak()
     error_stream, output = io.StringIO(), io.StringIO()

@@ -17,7 +17,7 @@ from ltsim.cli.main import COMMANDS, command_function
 from ltsim.cli.options import FunctionOptions, typer_command
 from ltsim.core.errors import InputError
 
-TERMINAL = {"out", "force", "terminal", "show"}
+TERMINAL = {"out", "force", "terminal", "show", "with_stations"}
 """Where results go and what is printed: the command's own affair."""
 READING = {"format_name", "hint", "columns", "frame", "control"}
 """How a recording is read: in Python an argument of `lt.read`."""

@@ -63,7 +63,7 @@ def test_a_calibration_estimates_noise_that_is_declared_too_large(
     capsys.readouterr()
     assert run(["calibrate", str(tmp_path / "rec"), "--out", str(tmp_path / "out")]) == 0
     captured = capsys.readouterr()
-    assert "times as much as declared: the noise was estimated instead" in captured.err
+    assert "times as much as declared: the estimated noise replaces it" in captured.err
     assert "the global test does not apply" in captured.out and "two-sided p <" not in captured.out
     worth = json.loads((tmp_path / "out" / "calibration.json").read_text())["correction"]
     assert worth["noise_error_um"] == pytest.approx(11.5, rel=0.1)  # of the noise that the readings have

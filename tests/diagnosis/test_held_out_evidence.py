@@ -7,10 +7,17 @@ import pytest
 from scipy.special import expit
 
 import ltsim.diagnosis.diagnose as steps
-from ltsim.diagnosis.cross_validation import HeldOutErrors
+from ltsim.adjustment import adjust
+from ltsim.diagnosis import search
+from ltsim.diagnosis.cross_validation import HeldOutErrors, random_fold_row_indices
 from ltsim.diagnosis.diagnose import diagnose
-from ltsim.diagnosis.hypotheses import Hypothesis, HypothesisRanking
+from ltsim.diagnosis.hypotheses import EffectModel, Hypothesis, HypothesisRanking
+from ltsim.diagnosis.search import Searcher
+from ltsim.diagnosis.selection_state import SelectionState
 from ltsim.physics.effects import find_effect
+from ltsim.physics.laws.law import EmpiricalLaw
+from ltsim.physics.laws.regressors import smooth_regressor
+from ltsim.physics.laws.responses import RESPONSE_AND_DESIGN_BY_NAME
 from tests.networks import with_effect
 
 CONTRADICTED = HeldOutErrors(1.2, 1.8, log_score_gain=-200.0, log_score_gain_sigma=20.0)
@@ -58,3 +65,21 @@ def test_an_effect_that_held_out_readings_contradict_is_improbable_and_moves_no_
     ordinary = doubted.arrays.baseline_adjustment.state.target_points
     assert np.allclose(doubted.arrays.targets.points, ordinary)
     assert not np.allclose(believed.arrays.targets.points, ordinary)
+
+
+def test_a_search_without_a_fold_compares_a_curve_with_the_most_probable_simple_effect(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A curve that imitated two simple effects without a fold predicted this fold badly and contradicted both."""
+    baseline = adjust(with_effect(find_effect("reflector-constant")(("S2",)), [50e-6]))
+    case = SelectionState.from_adjustment(baseline, baseline.problem.is_used_reading, 0)
+    searcher = case.searcher.without_rows(random_fold_row_indices(case.residual_space, 0)[0])
+    law = EmpiricalLaw((), (), RESPONSE_AND_DESIGN_BY_NAME["elevation"][0], smooth_regressor("time"))
+    curve = searcher.model_with([Hypothesis(law, 0.0, 0.0, "unknown")])
+    monkeypatch.setattr(search, "MAX_COEFFICIENTS_OF_SIMPLE_EFFECT", len(curve.hypotheses[0].plausible_sizes) - 1)
+
+    def search_that_ends_with_the_curve(_: Searcher, model: EffectModel, **__: object) -> EffectModel:
+        return model if model.hypotheses else curve
+
+    monkeypatch.setattr(Searcher, "_forward_selection", search_that_ends_with_the_curve)
+    assert [h.name for h in searcher.select_effects(requires_effect=True).hypotheses] == ["reflector-constant"]

@@ -14,7 +14,7 @@ from ltsim.diagnosis.noise_centring import log_evidence_and_centring_hypotheses,
 from ltsim.diagnosis.selection_state import SelectionState
 from ltsim.physics.effects.motions import reading_change_by_displacement
 from ltsim.physics.effects.range_cyclic import RangeCyclic
-from ltsim.physics.laws.centring import CentringVariance
+from ltsim.physics.laws.variance import CentringVariance
 from ltsim.recordings.recording import Recording
 from tests.networks import network
 

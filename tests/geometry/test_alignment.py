@@ -6,7 +6,7 @@ from hypothesis import given, strategies as st
 
 from ltsim.core.errors import NetworkError
 from ltsim.core.randomness import random_stream
-from ltsim.geometry.rigid import align_rigidly, matrix_from_rotation_vector
+from ltsim.geometry.rigid import align_rigidly, align_robustly, align_sets_robustly, matrix_from_rotation_vector
 
 seeds = st.integers(0, 10_000)
 
@@ -62,3 +62,19 @@ def test_points_on_a_line_leave_a_rotation_undetermined() -> None:
     line = np.outer([1.0, 2.0, 3.0, 5.0], [1.0, 1.0, 0.5])
     with pytest.raises(NetworkError, match="not on one line"):
         align_rigidly(line, line)
+
+
+def test_sets_aligned_together_equal_sets_aligned_singly_with_an_outlier_and_a_line() -> None:
+    """Sets of points aligned at once: motions of single alignments, and a flag for the set on one line."""
+    draw = np.random.default_rng(5)
+    points = draw.normal(0.0, 3.0, (3, 7, 3))
+    goal_points = points + [1.0, 2.0, 3.0] + draw.normal(0.0, 2e-5, points.shape)
+    goal_points[1, 2] += 0.4
+    points[2] = goal_points[2] = np.arange(7.0)[:, None] * [1.0, 2.0, 0.5]
+    rotation, shift, is_determined = align_sets_robustly(points, goal_points)
+    assert is_determined.tolist() == [True, True, False]
+    for k in range(2):
+        alone = align_robustly(points[k], goal_points[k])
+        np.testing.assert_allclose(rotation[k], alone[0], atol=1e-13)
+        np.testing.assert_allclose(shift[k], alone[1], atol=1e-12)
+    np.testing.assert_allclose(shift[:2], [[1.0, 2.0, 3.0]] * 2, atol=2e-4)

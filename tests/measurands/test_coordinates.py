@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import scipy.linalg
+from scipy.spatial.transform import Rotation
 
 import ltsim as lt
 from ltsim.cli.main import run
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import LtsimError, RecordError
+from ltsim.core.errors import LtsimError, ModelError, NetworkError, RecordError
 from ltsim.core.randomness import random_stream
 from ltsim.geometry.rigid import rigid_motion_jacobian
 from ltsim.measurands.comparison import Comparison
 from ltsim.measurands.epochs import compare_coordinates
-from ltsim.recordings.coordinates import EpochCoordinates, read_coordinates
+from ltsim.recordings.coordinates import read_coordinates
+from ltsim.recordings.epoch_coordinates import EpochCoordinates
 from ltsim.recordings.result_file import read_result
 from tests.networks import network as small_network
 
@@ -227,12 +230,12 @@ def test_incomparable_epochs_are_refused(tmp_path: Path) -> None:
     path.write_text("target,x_mm,y_mm\nA,1,2\nB,3,4\n")
     with pytest.raises(RecordError, match="the coordinates have no standard deviations"):
         read_coordinates(path)
-    path.write_text("target,x_mm,sigma_x_mm\nA,1,0.1\nB,3,0\n")
+    path.write_text("target,x_mm,y_mm,sigma_x_mm,sigma_y_mm\nA,1,2,0.1,0.1\nB,3,4,0,0.1\n")
     with pytest.raises(RecordError, match=r"the variance of B\.x is 0"):
         read_coordinates(path)
     path.write_text("target,x_mm,sigma_x_mm\nA,1,0.1\nB,3,0.2\n")
     assert "no covariance between points" in read_coordinates(path).notes[0]
-    with pytest.raises(LtsimError, match="axes must be the same"):
+    with pytest.raises(LtsimError, match="no point of the first list"):
         compare_coordinates(crown(0), read_coordinates(path))
     with pytest.raises(LtsimError, match="only with another list of coordinates"):
         lt.compare(path, lt.simulate("paper-workshop", seed=1)[0])
@@ -264,3 +267,63 @@ def test_a_covariance_matrix_is_read_whatever_its_width(tmp_path: Path) -> None:
         file.write_text("\n".join((",".join(["", *names]), *changed)) + "\n")
         with pytest.raises(RecordError, match=says):
             read_coordinates(tmp_path / "a.csv")
+
+
+NAMES = ("A", "B", "C", "D", "E", "F")
+PLACES = 100.0 * np.array([[0, 0, 0], [50, 0, 1], [50, 40, 9], [0, 40, 3], [25, 9, 17], [7, 25, 26]])
+"""Points [mm] of two lists."""
+
+
+def point_list(
+    path: Path, names: Sequence[str], places: Floats, header: str = "target,x_mm,y_mm,z_mm,sigma_mm"
+) -> Path:
+    """List of points with a standard deviation of 0.02."""
+    rows = [",".join([name, *(f"{c:.6f}" for c in row), "0.02"]) for name, row in zip(names, places, strict=True)]
+    path.write_text("\n".join([header, *rows]) + "\n")
+    return path
+
+
+@pytest.mark.parametrize("unit_in_mm", [25.4, 1000.0, 304.8, 10.0])
+def test_lists_in_different_units_are_refused(tmp_path: Path, unit_in_mm: float) -> None:
+    first = point_list(tmp_path / "a.csv", NAMES, PLACES)
+    turn = Rotation.from_euler("zyx", [0.4, 0.1, -0.2]).as_matrix()
+    second = point_list(tmp_path / "b.csv", NAMES, PLACES @ turn.T / unit_in_mm)
+    with pytest.raises(ModelError, match=r"times those of the first, which is the ratio of two units"):
+        lt.compare(first, second)
+
+
+def test_points_that_grew_are_in_the_same_unit(tmp_path: Path) -> None:
+    first = point_list(tmp_path / "a.csv", NAMES, PLACES)
+    assert lt.compare(first, point_list(tmp_path / "b.csv", NAMES, 1.05 * PLACES)).moved_points
+
+
+def test_points_of_a_single_list_are_named(tmp_path: Path) -> None:
+    first = point_list(tmp_path / "a.csv", NAMES, PLACES)
+    second = point_list(tmp_path / "b.csv", [*NAMES[1:], "N"], PLACES[[1, 2, 3, 4, 5, 0]])
+    notes = lt.compare(first, second).notes
+    assert "points that only one list contains are not compared: A in the first, N in the second" in notes
+    with pytest.raises(NetworkError, match=r"no point of the first list \(A, B, C, D, E, F\)"):
+        lt.compare(first, point_list(tmp_path / "c.csv", [name.lower() * 2 for name in NAMES], PLACES))
+
+
+def test_common_axes_of_two_lists_are_compared(tmp_path: Path) -> None:
+    first = point_list(tmp_path / "a.csv", NAMES, PLACES)
+    moved = PLACES + np.outer(np.arange(6) == 3, [0.5, 0, 9])
+    plan = point_list(tmp_path / "b.csv", NAMES, moved[:, :2], "target,x_mm,y_mm,sigma_mm")
+    comparison = lt.compare(first, plan)
+    assert comparison.moved_points == ("D",)
+    assert "the first list has the axes xyz, the second xy: only xy are compared" in comparison.notes
+    height = point_list(tmp_path / "c.csv", NAMES, moved[:, 2:], "target,z_mm,sigma_mm")
+    with pytest.raises(ModelError, match="none is in both"):
+        lt.compare(plan, height)
+
+
+def test_points_that_define_the_frame_are_excluded(tmp_path: Path) -> None:
+    rows = [",".join([n, *(f"{c:.4f}" for c in p), str(0.02 * (n != "A"))]) for n, p in zip(NAMES, PLACES, strict=True)]
+    (tmp_path / "a.csv").write_text("\n".join(["target,x_mm,y_mm,z_mm,sigma_mm", *rows]) + "\n")
+    first = read_coordinates(tmp_path / "a.csv")
+    assert first.names == NAMES[1:]
+    assert "points that define the frame, with the variance 0, are not used: A" in first.notes
+    length = {"name": "length", "kind": "distance", "targets": ["A", "B"]}
+    table = lt.uncertainty(tmp_path / "a.csv", {"task": [length], "monte_carlo": {"digits": 1}}).to_dataframe()
+    assert table["u"][0] == pytest.approx(0.02, rel=1e-6)

@@ -14,6 +14,7 @@ import ltsim as lt
 from ltsim.cli.main import run
 from ltsim.core.errors import InputError
 from ltsim.planning import reasons, work_order
+from ltsim.planning.layout_rules import SpacingRule, floor_rules, meets_all
 from ltsim.planning.loading import load_plan, read_points
 from ltsim.planning.planner import StationCountResult
 from ltsim.planning.result import scenario_of_plan
@@ -23,7 +24,7 @@ from ltsim.planning.tolerances import PointTolerances, ToleranceCheck, error_rad
 from ltsim.planning.work_order import TapeDistance, station_instructions, tape_deficiency_sentence
 from ltsim.recordings.air import AirUncertainty
 from ltsim.reports.work_order_page import work_order_page
-from ltsim.scene.floor import Floor, areas_and_keep_outs, invalid_outline_reason, is_allowed_position, is_inside_outline
+from ltsim.scene.floor import Floor, areas_and_keep_outs, invalid_outline_reason, is_inside_outline
 from ltsim.scene.meshes import cylinder_triangles, join_obstacles
 from ltsim.scene.visibility import compute_visibility
 from ltsim.simulation.scenario import scenario_to_toml
@@ -102,7 +103,7 @@ def test_holes_ceilings_and_clearance_take_floor_away() -> None:
     }  # fmt: skip
     areas, free = areas_and_keep_outs(Floor.model_validate(text), (4000, 4000, 3000), (1.4, 1.8))
     at = np.array([[0.5, 0.5, 1.5], [1.5, 1.5, 1.5], [0.5, 0.5, 1.9], [2.7, 3.0, 1.5], [2.5, 3.0, 1.5]])
-    assert is_allowed_position(areas, free, None, at).tolist() == [True, False, False, False, True]
+    assert meets_all(floor_rules(areas, free, None), at).tolist() == [True, False, False, False, True]
 
 
 @pytest.mark.parametrize(
@@ -164,7 +165,7 @@ def test_points_in_a_thousandth_of_the_room_are_a_question(hall: Path, scale: fl
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("name,x_mm,y_mm\nA,1,2\n", "column z_mm: found nothing, expected a number"),
+        ("name,x_mm,y_mm\nA,1,2\n", "column z_mm: the value is missing, expected a number"),
         ("name,x_mm,y_mm,z_mm,colour\nA,1,2,3,red\n", "has the unknown column 'colour'"),
         ("name,x_mm,y_mm,z_mm\nA,1,2\n", "3 fields, expected 4 as in the header"),
         ("name,x_mm,y_mm,z_mm\nA,1,2,x\n", "z_mm"),
@@ -360,7 +361,7 @@ def test_numbers_without_a_layout_name_the_points_that_the_best_layout_lacks() -
     ]
     site = SimpleNamespace(min_sights_per_target=2, survey=SimpleNamespace(target_names=["M1", "M2", "M3"]))
     visible = np.array([[True, True, True], [True, False, False], [True, False, True]])
-    placement = StationPlacement(np.zeros((3, 3)), visible, 0.0, np.zeros((0, 3)), np.array([0, 0, 1]))
+    placement = StationPlacement(np.zeros((3, 3)), visible, SpacingRule(0.0), np.zeros((0, 3)), np.array([0, 0, 1]))
     assert [SearchSpace.unseen_targets_text(site, placement, chosen) for chosen in ([0, 1], [0, 0], [1])] == [
         "M2",
         "",

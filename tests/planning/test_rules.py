@@ -128,6 +128,22 @@ def test_the_rules_of_the_search_are_those_that_are_named(hall: Path) -> None:
     assert visible == {True, False}
 
 
+def test_each_rule_of_a_search_is_a_rule_that_is_named(hall: Path) -> None:
+    """The search did not know that a station may not coincide with a target."""
+    _, site = plan_without_search(*load_plan_and_scenario(hall))
+    position = np.array([[2.5, 2.0, 1.5], [4.0, 2.0, 1.5]])
+    survey = site.survey.replace(station_positions=position, is_visible=np.ones_like(site.survey.is_visible))
+    points = survey.target_points.copy()
+    points[0] = position[0] + [0, 0, 5e-4]
+    same = site.replace(survey=survey.replace(target_points=points))
+    batch = np.array([position, position]), np.array([survey.is_visible] * 2)
+    assert site.is_feasible(*batch).tolist() == [True, True] and not site.broken_rules(survey)
+    assert same.is_feasible(*batch).tolist() == [False, False]
+    assert [rule.sentence for rule in same.broken_rules(same.survey)] == [
+        f"station S1 coincides with target {survey.target_names[0]}"
+    ]
+
+
 def test_sights_that_break_a_rule_are_reported_and_never_reached(hall: Path) -> None:
     hall.write_text(PLAN.replace("min_stations_per_target = 1", "min_stations_per_target = 2"))
     content = lt.plan(hall, move={"S1": (3300, 3200), "S2": (5300, 2200, 1500, 30)})
@@ -164,6 +180,24 @@ def test_without_works_for_two_stations_and_prints_the_command_that_follows(
         [float(v) for v in others[0].move_option.removeprefix("S2=").split(",")], abs=0.1
     )
     assert content["summary"].rstrip(".") == others[0].verdict
+
+
+def test_the_number_of_stations_per_target_that_a_search_chose_is_no_rule_of_the_user(
+    hall: Path, tmp_path: Path
+) -> None:
+    text = PLAN.replace("min_stations_per_target = 1", "")
+    assert text != PLAN
+    hall.write_text(text)
+    assert run(["plan", str(hall), "--out", str(tmp_path / "made"), "--jobs", "1", "--starts", "1", "--quiet"]) == 0
+    for folder in (tmp_path / "made", tmp_path / "moved"):
+        if folder.name == "moved":
+            x, y, *_ = json.loads((tmp_path / "made" / "plan.json").read_text())["stations"][0]["position_mm"]
+            move = f"--move=S1={x},{y}"
+            assert run(["plan", str(tmp_path / "made"), move, "--out", str(folder), "--quiet"]) == 0
+        assert not load_plan_and_scenario(folder)[0].gives_min_stations_per_target
+        assert not any(
+            "min_stations_per_target" in alternative.verdict for alternative in lt.station_alternatives(folder, "S1")
+        )
 
 
 def test_a_tolerance_missed_by_a_little_is_not_met_and_is_displayed_so() -> None:

@@ -87,7 +87,7 @@ def test_a_report_is_understood(tmp_path: Path, clockwise: bool) -> None:
 
 def test_without_poses_the_usual_sense_is_assumed_and_reported(tmp_path: Path) -> None:
     recording = read(report(tmp_path / "r.csv", poses=False))
-    assert any("this file alone cannot show" in note for note in recording.notes)
+    assert any("the file does not show the sense" in note for note in recording.notes)
     given = read(report(tmp_path / "r.csv", poses=False), hints=Hints(azimuth="counter-clockwise"))
     np.testing.assert_allclose(np.mod(given.readings[:, 1] + recording.readings[:, 1] + 1, 2 * np.pi), 1, atol=1e-9)
 

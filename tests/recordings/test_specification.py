@@ -90,10 +90,10 @@ LIMIT_SETTINGS = {
 
 def test_limits_of_another_instrument_are_dropped() -> None:
     """A preset took the 20 m and the travel of the paper's tracker without a word."""
-    with pytest.raises(InputError, match=r"the range of elevations; set limits.*limits.range_max_mm"):
+    with pytest.raises(InputError, match=r"and ranges; set limits.*limits.range_max_mm in the table"):
         lt.scenario("paper-workshop", {"instrument.preset": "faro-vantage"})
     subset = {key: x for key, x in LIMIT_SETTINGS.items() if "range_max" not in key}
-    with pytest.raises(InputError, match=r"set limits\.range_max_mm$"):
+    with pytest.raises(InputError, match=r"set limits\.range_max_mm in the table \[instrument\]$"):
         lt.scenario("paper-workshop", {"instrument.preset": "faro-vantage", **subset})
 
 

@@ -64,3 +64,13 @@ def test_convert_ends_with_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert "see the 2 notes above" in printed
     assert run(["convert", str(tmp_path / "a.csv"), str(tmp_path / "out"), "--force", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["summary"]["faces"] == "face 1 only"
+
+
+def test_slope_and_horizontal_distances_are_counted(tmp_path: Path) -> None:
+    lengths = [f",{20 + i:.4f}" if i < 3 else f"{20 + i:.4f}," for i in range(8)]
+    rows = [f"A,P{i},{40.5 * i},{98.5 - i},{length}" for i, length in enumerate(lengths)]
+    (tmp_path / "a.csv").write_text("\n".join(["Station,Point,Hz [gon],ZA [gon],SD [m],HD [m]", *rows]) + "\n")
+    assert recording_summary(read(tmp_path / "a.csv"))["readings"].startswith("8 distances (3 of them horizontal) of ")
+    flat = [f"A,P{i},{40.5 * i},{20 + i:.4f}" for i in range(8)]
+    (tmp_path / "b.csv").write_text("\n".join(["Station,Point,Hz [gon],HD [m]", *flat]) + "\n")
+    assert recording_summary(read(tmp_path / "b.csv"))["readings"].startswith("8 distances (horizontal) of ")

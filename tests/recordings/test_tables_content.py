@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from ltsim.core.errors import RecordError
-from ltsim.recordings import Hints, read
+from ltsim.recordings import Hints, Recording, read
 from ltsim.recordings.spreadsheets import cells
+from ltsim.recordings.spreadsheets.angle_cells import joined_angle_text, parse_packed_degrees
 
 POLAR = "Station;Point;Face;Hz [gon];V [gon];D [m]"
 ROWS = [
@@ -91,6 +92,9 @@ def test_a_pace_that_no_instrument_has_is_questioned(tmp_path: Path) -> None:
         ("33-12-07.2", 33.202),
         ("-33°12'07.2''", -33.202),
         ("33°12.12'", 33.202),
+        ("33D12'07.2\"", 33.202),
+        ("33_12_07.2", 33.202),
+        ("33.12.07,2", 33.202),
     ],
 )
 def test_degrees_with_any_usual_marks(text: str, degrees: float) -> None:
@@ -99,15 +103,34 @@ def test_degrees_with_any_usual_marks(text: str, degrees: float) -> None:
     assert cells.is_sexagesimal(text)
 
 
+@pytest.mark.parametrize(
+    ("parts", "degrees"),
+    [
+        (("-4", "9", "36"), -4.16),
+        (("-4", "-9", "-36"), -4.16),
+        (("0", "-9", "36"), -0.16),
+        (("-0", "9", "36"), -0.16),
+        (("\u22120", "9,6"), -0.16),
+        (("4", "", ""), None),
+        (("4", "-9", "36"), None),
+        (("4", "9", "-36"), None),
+    ],
+)
+def test_sign_of_an_angle_in_separate_cells(parts: tuple[str, ...], degrees: float | None) -> None:
+    angle = cells.parse_number_or_angle(joined_angle_text(parts))
+    assert angle == 4 or degrees is not None or angle is None
+    assert degrees is None or float(angle or 0) == pytest.approx(degrees, abs=1e-12)
+
+
 @pytest.mark.parametrize(("text", "degrees"), [("33.12072", 33.202), ("33.5", 33 + 50 / 60), ("7", 7.0)])
 def test_minutes_and_seconds_as_decimals(text: str, degrees: float) -> None:
-    value = cells.parse_packed_degrees(text)
+    value = parse_packed_degrees(text)
     assert value is not None and float(value) == pytest.approx(degrees, abs=1e-12)
 
 
 @pytest.mark.parametrize("text", ["33°72'07\"", "33°12'61\"", "33.7512"])
 def test_no_angle_has_sixty_minutes(text: str) -> None:
-    assert cells.parse_packed_degrees(text) is None
+    assert parse_packed_degrees(text) is None
 
 
 @pytest.mark.parametrize(
@@ -409,3 +432,133 @@ def test_a_table_without_readings_says_so(text: str, tmp_path: Path) -> None:
     (tmp_path / "b.csv").write_text("station,target,Hz[deg],zenith[deg],distance[mm]\nS1,T1,a,b,c\n")
     with pytest.raises(RecordError, match=r"b\.csv: contains no pointings: line 2 of b\.csv \('S1 T1 a b c'\) has no"):
         read(tmp_path / "b.csv")
+
+
+def sexagesimal_rows(form: str) -> list[list[str]]:
+    """Twelve rows of station, target, horizontal circle, zenith angle and distance; the angles are in this form."""
+    rows = []
+    for i in range(12):
+        hz, v = (23 + 27 * i) % 360 + i / 60 + (7.5 + i) / 3600, 85 + i + 59 / 60 + (58.5 - i) / 3600
+        angles = []
+        for angle in (hz, v):
+            tenths = round(angle * 36000)
+            degrees, minutes, seconds = tenths // 36000, tenths // 600 % 60, tenths % 600 / 10
+            angles.append(form.format(d=degrees, m=minutes, s=seconds))
+        rows.append([f"S{1 + i // 6}", str(101 + i % 6), *angles, f"{12.3456 + i:.4f}"])
+    return rows
+
+
+def written(path: Path, header: str, rows: list[list[str]], separator: str = ";") -> Path:
+    """Table with this header and rows."""
+    path.write_text("\n".join([header, *(separator.join(row) for row in rows)]) + "\n", encoding="utf-8")
+    return path
+
+
+def first_angles(recording: Recording) -> list[float]:
+    """Horizontal circle and zenith angle of the first and last pointing [deg]."""
+    hz, v = -np.degrees(recording.readings[:, 1]) % 360, 90 - np.degrees(recording.readings[:, 2])
+    return [hz[0], v[0], hz[-1], v[-1]]
+
+
+EXPECTED = [23 + 7.5 / 3600, 85 + 59 / 60 + 58.5 / 3600, 320 + 11 / 60 + 18.5 / 3600, 96 + 59 / 60 + 47.5 / 3600]
+"""First and last angles of `sexagesimal_rows` [deg]."""
+
+
+@pytest.mark.parametrize("separator", [";", ","])
+@pytest.mark.parametrize(
+    "form",
+    [
+        "{d} {m:02d} {s:04.1f}",
+        "{d} deg {m:02d} min {s:04.1f} sec",
+        "{d}D{m:02d}'{s:04.1f}\"",
+        "{d}.{m:02d}.{s:04.1f}",
+        "{d:03d}{m:02d}{s:04.1f}",
+    ],
+)
+def test_sexagesimal_angles_with_any_separator_of_fields(tmp_path: Path, form: str, separator: str) -> None:
+    rows = sexagesimal_rows(form)
+    recording = read(written(tmp_path / "a.csv", separator.join(("Stn", "Pt", "HA", "VA", "SD")), rows, separator))
+    assert first_angles(recording) == pytest.approx(EXPECTED, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "Station;Point;Hz;;;V;;;SD",
+        "Station;Point;Hz;Hz;Hz;V;V;V;SD",
+        "Station;Point;Hz;;;V;;;SD\n;;°;';\";°;';\";m",
+        "Estacion;Punto;Ang. Hor.;;;Ang. Vert.;;;Dist. Incl.",
+    ],
+)
+def test_minutes_and_seconds_below_merged_titles(tmp_path: Path, header: str) -> None:
+    rows = [
+        [station, target, *hz.split(), *v.split(), d]
+        for station, target, hz, v, d in sexagesimal_rows("{d} {m} {s:.1f}")
+    ]
+    recording = read(written(tmp_path / "a.csv", header, rows))
+    assert first_angles(recording) == pytest.approx(EXPECTED, abs=1e-9)
+
+
+def test_untitled_columns_that_hold_no_minutes_are_not_joined(tmp_path: Path) -> None:
+    rows = [[*row[:2], "23", "71", *row[3:]] for row in sexagesimal_rows("{d}")]
+    recording = read(written(tmp_path / "a.csv", "Station;Point;Hz [deg];;V [deg];SD", rows))
+    assert first_angles(recording)[0] == pytest.approx(23.0)
+
+
+def test_few_packed_angles_are_questioned(tmp_path: Path) -> None:
+    rows = sexagesimal_rows("{d}.{m:02d}{s:02.0f}")[:3]
+    file = written(tmp_path / "a.csv", "Station;Point;Hz;Zenith;SD", rows)
+    advice = "horizontal=Hz[dms],zenith=Zenith[dms]"
+    with pytest.raises(RecordError, match=f"may be decimal numbers or ddd.mmss.*{re.escape(advice)}"):
+        read(file)
+    recording = read(file, hints=Hints(columns=advice))
+    assert first_angles(recording)[0] == pytest.approx(EXPECTED[0], abs=1 / 3600)
+    read(file, hints=Hints(angle="deg"))
+
+
+@pytest.mark.parametrize(
+    ("form", "unit"),
+    [("{d}°{m:02d}'{s:04.1f}\"", "deg"), ("{d}.{m:02d}{s:02.0f}", "dms"), ("{d}-{m:02d}-{s:04.1f}", "deg")],
+)
+def test_advice_names_station_target_and_packed_angles(tmp_path: Path, form: str, unit: str) -> None:
+    file = written(tmp_path / "a.csv", "a;b;c;d;e", sexagesimal_rows(form))
+    advice = f"station=a,target=b,azimuth=c[{unit}],vertical=d[{unit}],distance=e[m]"
+    with pytest.raises(RecordError, match=re.escape(advice)):
+        read(file)
+
+
+def position(i: int) -> list[str]:
+    """Coordinates [mm] of the i-th position of a moving target."""
+    return [f"{c + 11.5 * i}" for c in (2500.1, 40.2, -300.3)]
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "time;q1;q2;q3;Tracker X;Tracker Y;Tracker Z",
+        "time;Rx;Ry;Rz;laser_x [mm];laser_y [mm];laser_z [mm]",
+        "time;rot_x;rot_y;rot_z;X_T-Mac;Y_T-Mac;Z_T-Mac",
+        "time;nominal_x;nominal_y;nominal_z;measured_x;measured_y;measured_z",
+        "A1;A2;A3;A4;X [mm];Y [mm];Z [mm]",
+    ],
+)
+def test_coordinates_with_a_common_word_are_positions(tmp_path: Path, header: str) -> None:
+    rows = [[f"{i}", f"{0.1 * i:.3f}", "0.500", "-1.250", *position(i)] for i in range(8)]
+    file = written(tmp_path / "a.csv", header, rows)
+    with pytest.raises(RecordError, match="8 positions without point names, as a moving target gives"):
+        read(file)
+    recording = read(file, format="table", hints=Hints(station="T1"))
+    assert len(recording.targets) == 8
+    assert recording.readings[0, 0] == pytest.approx(np.linalg.norm([2.5001, 0.0402, -0.3003]), abs=1e-9)
+
+
+def test_advice_on_joint_angles_and_positions_without_titles(tmp_path: Path) -> None:
+    rows = [[f"{17.25 * (-1) ** i * j - i}" for j in range(1, 7)] + position(-37 * (i % 3)) for i in range(8)]
+    with pytest.raises(RecordError, match=r"x=7\[mm\],y=8\[mm\],z=9\[mm\]"):
+        read(written(tmp_path / "a.txt", "# robot", rows, " "))
+
+
+def test_numbered_poses_with_joint_angles_are_no_list_of_points(tmp_path: Path) -> None:
+    rows = [[f"{i + 1}", f"{3.5 * i}", f"{1.5 * i}", "0.5", *position(i)] for i in range(8)]
+    with pytest.raises(RecordError, match="8 positions without point names"):
+        read(written(tmp_path / "a.csv", "pose;J1;J2;J3;x;y;z", rows))

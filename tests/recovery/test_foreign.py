@@ -140,7 +140,7 @@ def test_checks_are_a_function_of_estimate_sigma_and_truth() -> None:
 @pytest.mark.parametrize(
     ("given", "reason"),
     [
-        ({}, "it contains no parameter"),
+        ({}, "the result contains no parameter"),
         ({"beam-tilt": (1.0, 0.0, "urad")}, "sigma of beam-tilt is 0.0, it should be greater than 0"),
         ({"beam-tilt": (float("nan"), 1.0, "urad")}, "value of beam-tilt is nan, it should be a finite number"),
         ({"beam-tilt": 3.0}, "beam-tilt is 3.0"),

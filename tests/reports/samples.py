@@ -13,7 +13,6 @@ import pyarrow as pa
 from pyarrow import parquet as pq
 
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.adjustment.remedies.next_measurement import rank_next_measurements
 from ltsim.calibration.arrays import residuals_table
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.calibration_series import CalibrationSeries
@@ -29,7 +28,7 @@ from ltsim.recordings.setup import Station
 from ltsim.simulation.builtin import builtin_text
 from ltsim.simulation.scenario import load_scenario
 from ltsim.simulation.verbs import scenario
-from tests.networks import STATIONS, YAWS, drawn, network
+from tests.networks import STATIONS, YAWS, drawn, network, ranked_measurements
 
 
 @cache
@@ -242,7 +241,7 @@ def history_folder(folder: Path) -> Path:
 
 def next_folder(folder: Path, *, between: tuple[str, ...] = ()) -> Path:
     """A folder as `ltsim plan --after` leaves it."""
-    made = rank_next_measurements(recording(), explanations=between)
+    made = ranked_measurements(recording(), explanations=between)
     folder.mkdir(parents=True)
     content = NextMeasurement.from_ranking(made).model_copy(
         update={"diagnosis": "The recording agrees with the model."}

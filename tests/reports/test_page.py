@@ -443,7 +443,7 @@ def test_criteria_say_that_the_readings_contain_a_corrected_error(tmp_path: Path
         write_calibration(lt.adjust(made), tmp_path / name)
         (section,) = document_of_folder(tmp_path / name).sections
         (note,) = (getattr(block, "note", "") for block in section.blocks if block.title == "Criteria")
-        assert ("from the readings as they are, with the errors that the model corrects" in note) == (name == "wrong")
+        assert ("from which it is computed, contain the errors that the model corrects" in note) == (name == "wrong")
 
 
 def test_a_calibration_with_a_corrected_error_is_not_called_consistent(tmp_path: Path) -> None:

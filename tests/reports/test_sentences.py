@@ -94,11 +94,33 @@ def test_the_evidence_of_an_effect_in_every_adjustment_is_not_called_a_failed_fi
     assert "its fall was not computed, because every compared adjustment contains this effect" in text
 
 
+def test_the_answer_numbers_several_causes_and_names_no_formula_for_a_reference_value(tmp_path: Path) -> None:
+    """A wrong control point was a `formula`, and a test without a p-value had an empty line."""
+    content = copy.deepcopy(samples.DIAGNOSIS)
+    wrong = copy.deepcopy(content["findings"][0])
+    wrong |= {"effect": "unknown", "known": False, "formula": "", "carrier": "reference coordinates"}
+    wrong |= {"sentence": "The control point P10 is wrong by 2.0 mm.", "parameters": []}
+    wrong["where"] = {"observables": [], "stations": [], "targets": ["P10"], "covariates": ["place"]}
+    wrong["evidence"] |= {"p_value": None, "probability": 0.001}
+    content["findings"] = [content["findings"][0], wrong]
+    section = diagnosis_section(Diagnosis.model_validate_json(json.dumps(content)), SectionContext(folder=tmp_path))
+    assert "Cause 1: " in section.summary or "Possible cause 1: " in section.summary
+    assert "ause 2: an error of the reference coordinates at target P10 (probability < 1 %)." in section.summary
+    assert f"What to do first: {section.next_actions[0]}" in section.summary
+    evidence = next(block for block in section.blocks if block.title == "Evidence of finding 2")
+    assert "where: at target P10" in evidence.lines
+    assert not any(line.startswith("p, ") for line in evidence.lines)
+    assert "Proposed formula" not in section.terminal_text()
+
+
 def test_a_wrong_reflector_constant_has_the_action_of_its_cause() -> None:
     assert inspection_action(finding("reflector-constant", "range-step")) == (
         "Check the SMR and the distance constant at S3; correct the wrong one."
     )
-    assert inspection_action(finding("station-settling", "range-step")).startswith("Inspect S3 for the cause: ")
+    assert inspection_action(finding("station-settling", "range-step")) == (
+        "Let the tripod of S3 settle, and measure this set-up again."
+    )
+    assert inspection_action(finding("turbulence", "range-step")).startswith("Inspect S3 for the cause: ")
 
 
 def prose(section: Section) -> list[str]:

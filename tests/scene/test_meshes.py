@@ -109,7 +109,7 @@ def test_the_same_hall_is_built_once() -> None:
     column, table = box_triangles(np.array([0.3, 0.3, 3.0])), box_triangles(np.array([2.0, 1.0, 0.8]))
     hall = join_obstacles([column, table])
     assert join_obstacles([column.copy(), table]) is hall
-    assert join_obstacles([column, table], floor_height=1.0) is not hall
+    assert join_obstacles([column, table], body_names=("column", "table")) is not hall
     assert len(join_obstacles([column]).triangles) == len(column)
     with pytest.raises(ValueError, match="read-only"):
         hall.triangles[0] = 0.0

@@ -14,6 +14,7 @@ import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.blunders import apply_corrections, detect_blunders
+from ltsim.adjustment.fieldcheck.bump_choice import fit_neg_log_p, most_significant
 from ltsim.adjustment.fieldcheck.network import (
     adjust_for_check,
     n_network_tests,
@@ -48,6 +49,7 @@ from ltsim.core.arguments import check_argument_bounds
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.limits import MAX_ADJUSTED_POINTINGS, MAX_ADJUSTED_TARGETS
+from ltsim.core.rounding import index_of_largest
 from ltsim.geometry.rigid import MIN_POINTS_FOR_POSE
 from ltsim.physics.effects.index_drift import IndexDrift
 from ltsim.physics.effects.motions import StationMotionEffect
@@ -99,7 +101,7 @@ def check(
     full_recording = load_recording(recording)
     full_recording.require_at_most(MAX_ADJUSTED_POINTINGS, MAX_ADJUSTED_TARGETS, "a check")
     identification = identify_causes(full_recording) if len(full_recording.stations) > 1 else None
-    selection = identification if identification is not None and _explains_readings(identification) else None
+    selection = identification if identification is not None and _uses_corrected_readings(identification) else None
     moving = identification.certain_station_motions if identification is not None and selection is None else ()
     causes = () if selection is None else cause_tests(selection)
     corrected = full_recording if selection is None else selection.fit.correct_recording(full_recording)
@@ -144,8 +146,8 @@ def check(
     return result
 
 
-def _explains_readings(selection: CauseSelection) -> bool:
-    """True if set-ups and network are tested with readings corrected for the identified causes of errors."""
+def _uses_corrected_readings(selection: CauseSelection) -> bool:
+    """True if a field check tests set-ups and network with readings that are corrected for the identified causes."""
     return selection.requires_adjustment_with_causes or selection.is_consistent or selection.has_unit_errors
 
 
@@ -173,9 +175,9 @@ def _test_setup(
 ) -> SetupCheck:
     """Results of the tests of the set-up with the index `station`.
 
-    The three recordings contain the same pointings with different corrections. The tests are those of `test_family`.
-    The two-face differences are those of `paired_recording`, which contains outliers. The other tests use
-    `setup_recording`. `recording_with_declared_noise` is for sentences. `mpe` is the maximum permissible two-face
+    The three recordings contain the same pointings with different corrections. All tests share the false-alarm rate of
+    `test_family`. The two-face differences are those of `paired_recording`, which contains outliers. The other tests
+    use `setup_recording`. `recording_with_declared_noise` is for sentences. `mpe` is the maximum permissible two-face
     difference: constant part [um] and part per range [um/m]; None for the limit by noise and specification.
     """
     indices = np.flatnonzero(setup_recording.station == station)
@@ -226,7 +228,7 @@ class GrossAndMotionTests:
     items: tuple[CheckItem, ...]
     """Test results, one per test."""
     corrected_setup_model: SetupModel
-    """Linear model of the set-up without gross pointings, in which detected motions and drifts are fitted too."""
+    """Linear model of the readings without gross pointings, in which detected motions and drifts are fitted too."""
     motions: tuple[StationMotionEffect, ...]
     """Detected motions of the station: sudden (bump) or at a constant rate (drift)."""
     motion_corrected_recording: Recording
@@ -249,7 +251,7 @@ def _gross_and_motion_tests(
     motions: list[StationMotionEffect] = [] if bump is None else [bump]
     designs = [motion.design(setup_model.sightings) for motion in motions]
     remaining = reduce(SetupModel.with_fitted_columns, designs, setup_model)
-    drift_design, zeros = uniform_motion.design(setup_model.sightings), _zero_drift_design(setup_model)
+    drift_design, zeros = uniform_motion.design(setup_model.sightings), _instrument_drift_design(setup_model)
     check_items.append(_drift_item(remaining, test_family, "drift", drift_design, station_drift_sentence))
     if not check_items[-1].passed:
         motions.append(uniform_motion)
@@ -266,25 +268,25 @@ def _gross_and_motion_tests(
 def _gross_pointings_and_bump(
     setup_model: SetupModel, construction: GeometricErrorModel, test_family: BonferroniFamily
 ) -> tuple[dict[int, float], StationBump | None, SetupModel]:
-    """p-values of gross pointings by index, bump (None if not significant), and set-up model without gross pointings.
+    """p-values of gross pointings by index, sudden station motion, and linear model without the gross pointings.
 
-    Gross pointings are removed one by one, until a bump (sudden motion of the station) explains the readings better
-    than the next gross error does.
+    Gross pointings are removed one by one, until a bump (station motion) explains the readings better than the next
+    gross error does. The bump is None if it is not significant.
     """
     gross: dict[int, float] = {}
     most = max(1, MAX_SINGLE_ERROR_FRACTION * len(setup_model.row_mask))
     while True:
         drop, rank = setup_model.removal_chi2_drops_and_dof()
         alone = neg_log_p_chi2(drop, rank) - np.log(len(setup_model.row_mask))
-        worst = int(np.argmax(alone))
+        worst = index_of_largest(alone)
         bump, explained, gaps = best_fitting_bump(setup_model)
-        creep = _neg_log_p(setup_model.fit_columns(UniformMotion().design(setup_model.sightings)))
-        steady = creep >= _neg_log_p(explained) - np.log(gaps)
+        creep = fit_neg_log_p(setup_model.fit_columns(UniformMotion().design(setup_model.sightings)))
+        steady = creep >= fit_neg_log_p(explained) - np.log(gaps)
         bump = None if steady or setup_model.p_value(explained) * gaps >= test_family.alpha_per_test else bump
         enough = (
             alone[worst] <= max(-np.log(test_family.alpha_per_test), creep if steady else 0.0) or len(gross) >= most
         )
-        if enough or (bump is not None and alone[worst] <= _neg_log_p(explained) - np.log(gaps)):
+        if enough or (bump is not None and alone[worst] <= fit_neg_log_p(explained) - np.log(gaps)):
             return gross, bump, setup_model
         gross[worst] = float(np.exp(-alone[worst]))
         use: Bools = setup_model.row_mask & np.asarray(np.arange(len(setup_model.row_mask)) != worst)
@@ -305,10 +307,10 @@ def best_fitting_bump(setup_model: SetupModel) -> tuple[StationBump | None, Adde
     if not candidates:
         return None, AddedColumnsFit(0.0, 0, np.zeros(6), np.zeros((6, 6))), 1
     explained_by = {bump: setup_model.fit_columns(bump.design(setup_model.sightings)) for bump in candidates}
-    for bump in max(explained_by, key=lambda bump: _neg_log_p(explained_by[bump])).neighbours(setup_model.sightings):
+    for bump in most_significant(explained_by).neighbours(setup_model.sightings):
         if _n_targets_across_bump(setup_model, bump) >= MIN_POINTS_FOR_POSE:
             explained_by[bump] = setup_model.fit_columns(bump.design(setup_model.sightings))
-    best_candidate = max(explained_by, key=lambda bump: _neg_log_p(explained_by[bump]))
+    best_candidate = most_significant(explained_by)
     return best_candidate, explained_by[best_candidate], len(np.unique(setup_model.sightings.time)) - 1
 
 
@@ -317,11 +319,6 @@ def _n_targets_across_bump(setup_model: SetupModel, bump: StationBump) -> int:
     is_after = setup_model.sightings.time >= bump.time
     target = setup_model.recording.target
     return len(np.intersect1d(target[setup_model.row_mask & is_after], target[setup_model.row_mask & ~is_after]))
-
-
-def _neg_log_p(fit: AddedColumnsFit) -> float:
-    """Negative logarithm of the p-value of the decrease of chi-square by a fit, for the declared noise."""
-    return float(neg_log_p_chi2(fit.chi2_drop, fit.rank))
 
 
 def _gross_item(
@@ -365,7 +362,7 @@ def _bump_item(
     )
 
 
-def _zero_drift_design(setup_model: SetupModel) -> Floats:
+def _instrument_drift_design(setup_model: SetupModel) -> Floats:
     """Changes (n, 3, 2) of the readings of n pointings per unit of two drift rates of the instrument.
 
     These are the rates of the range zero [m/s] and of the vertical index [rad/s].

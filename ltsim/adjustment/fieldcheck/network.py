@@ -116,7 +116,7 @@ def network_check_items(
     """Results of the tests that compare all stations, with the errors of the instrument estimated.
 
     `adjustment_or_error` is the network adjusted with the declared noise. With `uses_target_noise`, `recording` has
-    increased noise at some targets. `motions` are station motions that were detected in single set-ups,
+    increased noise at some targets. `motions` are station motions that the tests of single set-ups detected,
     `station_motions` motions that only the comparison of stations shows. `noise_text` is a text on the estimated noise
     of `recording`, empty for the declared noise.
     """

@@ -61,8 +61,8 @@ def target_scatter_item(
 ) -> CheckItem:
     """Result of the scatter test of a set-up whose targets scatter differently, with the names of the noisiest targets.
 
-    `setup_model` is the model of the readings as measured, `corrected_setup_model` the model with motions and drifts;
-    `noise_text` is a text on estimated noise, empty for the declared noise.
+    `setup_model` is the linear model of the readings as measured, `corrected_setup_model` the one with fitted motions
+    and drifts; `noise_text` is a text on estimated noise, empty for the declared noise.
     """
     closure = repeatability_item(corrected_setup_model, test_family, noise_text)
     chi2, dof = corrected_setup_model.chi2_and_dof_by_target()

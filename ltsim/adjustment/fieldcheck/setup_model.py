@@ -70,7 +70,7 @@ class AddedColumnsFit:
 
 @dataclass(frozen=True)
 class SetupModel:
-    """Linear model of one set-up with repeated pointings: residuals after a fit of targets and instrument errors."""
+    """Least-squares model of the readings of one set-up: residuals after a fit of targets and instrument errors."""
 
     recording: Recording
     """Recording with the pointings of this set-up only."""
@@ -99,7 +99,7 @@ class SetupModel:
         row_mask: Bools | None = None,
         sigma: Floats | None = None,
     ) -> SetupModel:
-        """Model of the only set-up of a recording, with the parameters of the error model `construction` as unknowns.
+        """Linear model of the readings of one set-up, with the parameters of the errors `construction` as unknowns.
 
         `row_mask` (n,) selects some of the n pointings, by default all. `sigma` (n, 3) [m, rad, rad] are the standard
         deviations of the readings, by default the declared ones.
@@ -150,7 +150,7 @@ class SetupModel:
         return np.asarray(remainder)
 
     def _projected_unit_columns(self, design: Floats) -> tuple[Floats, Floats]:
-        """Unexplained columns (3 n, c) of a suspected cause, scaled to unit length, and original lengths (c,).
+        """Design columns (3 n, c) of a suspected cause, projected on the residuals, scaled; unscaled lengths (c,).
 
         Column and length are 0 if target coordinates and instrument errors explain the column. `design` (n, 3, c) is
         the change of the readings of n pointings per unit of the c parameters of the cause.
@@ -179,7 +179,7 @@ class SetupModel:
         )
 
     def p_value(self, fit: AddedColumnsFit) -> float:
-        """p-value of a fit: the larger one of a test with the declared noise and a test with the estimated noise."""
+        """p-value of a fitted suspected cause: the larger one of the tests with declared and with estimated noise."""
         if not fit.rank or self.dof <= fit.rank:
             return 1.0
         by_declared = float(special.chdtrc(fit.rank, fit.chi2_drop))
@@ -188,7 +188,7 @@ class SetupModel:
         return max(by_declared, float(special.fdtrc(fit.rank, dof, ratio)))
 
     def with_fitted_columns(self, design: Floats) -> SetupModel:
-        """Model of the set-up with a suspected cause of errors, such as a drift, as additional unknowns.
+        """Linear model of the same readings with a suspected cause of errors, such as a drift, as additional unknowns.
 
         `design` (n, 3, c) is the change of the readings of n pointings per unit of the c parameters of the cause.
         """
@@ -277,7 +277,7 @@ class TwoFaceDifferences:
     """Half differences (face 1 minus face 2) of the m pairs of pointings of one set-up, with their limits."""
 
     uncorrected_pairs: TwoFacePairs
-    """Pairs of pointings with readings as recorded."""
+    """Pairs of pointings to one target in both faces, with readings as recorded."""
     motion_corrected_pairs: TwoFacePairs
     """Pairs of pointings with readings corrected for detected motions of the station and drifts of the instrument."""
     half_difference_sigmas: Floats

@@ -88,7 +88,7 @@ class SelectedHypothesis:
     """Selected hypothesis on a cause of the misfit, its gain of log evidence, and alternatives fitted in its place."""
 
     hypothesis: CauseHypothesis
-    """Selected hypothesis."""
+    """Hypothesis on a cause of the misfit, as selected by its log evidence."""
     log_evidence_gain: float
     """Log evidence of the fit with all selected hypotheses, minus that of the fit without this hypothesis."""
     alternatives: tuple[tuple[CauseHypothesis, float], ...]
@@ -208,7 +208,7 @@ class CauseSelection:
 
     @property
     def _noise_factors(self) -> list[float]:
-        """Start values of the factors on the declared noise of the selected noise hypotheses."""
+        """Factors on the declared noise, one for each selected hypothesis on the noise (start values of its fit)."""
         changes = (choice.hypothesis.model_change for choice in self.selected_hypotheses)
         return [change.start_factor for change in changes if isinstance(change, NoiseFactorChange)]
 

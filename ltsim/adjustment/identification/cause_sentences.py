@@ -25,10 +25,10 @@ from ltsim.adjustment.reference_tests import length_sigma
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import names_text, number_text, with_sigma
 from ltsim.core.units import ARCSECOND, MICROMETRE, MICRORADIAN, MILLIMETRE, PPM, SI_PER_UNIT
-from ltsim.physics.effects.scale_causes import temperature_errors_text
+from ltsim.physics.effects.scale_causes import has_temperature_cause, temperature_errors_text, unit_error_text
 from ltsim.physics.effects.station_settling import StationSettling
 from ltsim.physics.effects.target_moved import TargetMoved, moved_coordinates_sentence
-from ltsim.physics.laws.centring import shared_errors_sentence
+from ltsim.physics.laws.variance import shared_errors_sentence
 from ltsim.recordings.times import interval_text
 
 
@@ -68,7 +68,7 @@ CAUSE_PHRASE_BY_REFERENCE_KIND = {
 
 
 def cause_sentence(fit: NetworkFit, hypothesis: CauseHypothesis, rival_names: Sequence[str] = ()) -> str:
-    """Sentence on a selected hypothesis, with the size of the error and its usual causes.
+    """Sentence for the user on an identified error (the selected hypothesis), with its size and usual causes.
 
     For a wrong reference value, `rival_names` are the names of other reference values that may be wrong in its place.
     """
@@ -80,7 +80,7 @@ def cause_sentence(fit: NetworkFit, hypothesis: CauseHypothesis, rival_names: Se
 
 
 def _reference_sentence(fit: NetworkFit, hypothesis: CauseHypothesis, rival_names: Sequence[str]) -> str:
-    """Sentence on a wrong reference value; `rival_names` as for `cause_sentence`."""
+    """Sentence for the user on a wrong reference value; `rival_names` are values that may be wrong in its place."""
     assert isinstance(hypothesis.model_change, ReferenceOmission)
     estimate, sigma, unit = misclosure_estimate(fit, hypothesis).values()
     size_text = f"{_number_text(estimate)} {unit}" if sigma is None else with_sigma(estimate, sigma, unit)
@@ -88,13 +88,33 @@ def _reference_sentence(fit: NetworkFit, hypothesis: CauseHypothesis, rival_name
     verb, them = ("are", "them") if plural else ("is", "it")
     words = CAUSE_PHRASE_BY_REFERENCE_KIND[hypothesis.model_change.reference_value.kind]
     phrase = f"{words} {hypothesis.reference_name_or_sentence} {verb} off by {size_text}"
+    if scale_text := _equivalent_scale_text(fit, hypothesis):
+        return f"{phrase}, or {scale_text}: check both."
     if rival_names:
         return f"{phrase}, or those of {names_text(rival_names)} are wrong: check each."
     return f"{phrase}: check {them}."
 
 
+def _equivalent_scale_text(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
+    """Clause on the scale error of all distances that a wrong reference length may be; empty for other values.
+
+    It is empty too if another length, or two points with reference coordinates, determine the scale.
+    """
+    n_known = sum(fit.recording.target_setup(name).known_mm is not None for name in fit.recording.targets)
+    if hypothesis.acts_on != "length" or fit.recording.gauge.distance or n_known > 1:
+        return ""
+    assert isinstance(hypothesis.model_change, ReferenceOmission)
+    value = hypothesis.model_change.reference_value
+    declared = fit.fit_input.recording.gauge.distance
+    length = next(d.length_mm * MILLIMETRE for d in declared if f"{d.from_}-{d.to}" == value.name)
+    scale = -float(fit.misclosure_of(value)[0]) / length
+    reason = f" ({text})" if (text := unit_error_text(scale)) else ""
+    direction = "long" if scale > 0 else "short"
+    return f"the distances from all stations are {_number_text(abs(scale) / PPM)} ppm too {direction}{reason}"
+
+
 def _sentence_on_other_causes(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
-    """Sentence on a selected hypothesis on a shift of readings, the noise or a blunder.
+    """Sentence for the user on an identified shift of readings, noise other than declared, or a blunder.
 
     Centring errors have a separate function.
     """
@@ -198,7 +218,7 @@ OBSERVABLE_CAUSE_TEXTS = {
 
 
 def _observable_sentence(fit: NetworkFit, hypothesis: CauseHypothesis, estimate: dict[str, Any]) -> str:
-    """Sentence on a hypothesis that all readings of one observable are shifted at a station or target.
+    """Sentence for the user on an identified shift of all readings of one observable at a station or target.
 
     `estimate` contains the size of the shift, its standard deviation and unit.
     """
@@ -230,12 +250,15 @@ def _observable_sentence(fit: NetworkFit, hypothesis: CauseHypothesis, estimate:
         values, covariance = fit.estimate_and_covariance(hypothesis)
         cause = offset_cause_text(float(values[0]), float(np.sqrt(covariance[0, 0]))) or cause
     if hypothesis.kind == "scale-error":
-        cause += f" ({temperature_errors_text(number * PPM, is_of_distances=not is_everywhere)})"
+        scale = number * PPM
+        reason = temperature_errors_text(scale, is_of_distances=not is_everywhere)
+        cause = f"{cause} ({reason})" if has_temperature_cause(scale) else "another unit or a wrong factor"
+        cause = unit_error_text(scale) or cause
     return f"{what} are {size_text} too {'long' if number > 0 else 'short'}: {cause}."
 
 
 def _centring_sentence(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
-    """Sentence on a hypothesis of centring errors at a set-up, on a target, or everywhere, with their size."""
+    """Sentence for the user on identified centring errors at a set-up, on a target, or everywhere, with their size."""
     assert isinstance(hypothesis.model_change, CentringChange)
     sigma = f"{_number_text(float(f'{hypothesis.model_change.centring_uncertainty.sigma_mm:.2g}'))} mm"
     size_text = f"{sigma} (standard deviation)"

@@ -56,7 +56,8 @@ class _CentringPlace:
     centring_uncertainty: CentringUncertainty
     """Declaration of the centring errors, with their stations and targets and a provisional standard deviation."""
     occupation_indices: Ints
-    """Index (n,) of the occupation to which each of n pointings belongs; -1 for pointings that are not tested."""
+    """Index (n,) of the occupation (one placement of a reflector on a target) of each of n pointings; -1 if not
+    tested."""
     requires_common_length: bool = False
     """True for a set-up without repeated pointings, where only displacements of one length are tested."""
 
@@ -130,8 +131,9 @@ def local_centring_hypotheses(fit: NetworkFit) -> list[tuple[float, CauseHypothe
 def _local_log_evidence_gain_and_sigma(fit: NetworkFit, place: _CentringPlace, rows: Ints) -> tuple[float, float]:
     """Gain of log evidence by displacements of reflectors, and their standard deviation [m], for a set-up or target.
 
-    A displacement for each occupation is fitted to the pointings `rows` at `place` by Gauss-Newton iterations. At a
-    set-up the common rigid motion of all reflectors is removed, because the pose of the set-up absorbs it.
+    A displacement for each placement of a reflector is fitted to the pointings `rows` at `place` by Gauss-Newton
+    iterations. At a set-up the common rigid motion of all reflectors is removed, because the pose of the set-up absorbs
+    it.
     """
     used, sigma = fit.problem_with_all_readings.is_used_reading[rows], fit.problem.reading_sigmas[rows]
     sightings = fit.adjustment.sightings
@@ -198,8 +200,9 @@ def _centring_places(recording: Recording, is_used_reading: Bools) -> list[_Cent
     places = []
     for centring in (*centrings, CentringUncertainty(sigma_mm=1.0, targets=shared)):
         occupation = np.where(is_used, target_occupations(recording, centring), -1)
-        visit = np.stack([occupation, recording.face * (not centring.stations and len(centring.targets) > 1)])
-        count = len(np.unique(visit[:, occupation >= 0], axis=1).T)
+        face = recording.face * (not centring.stations and len(centring.targets) > 1)
+        visit = occupation * (int(recording.face.max(initial=0)) + 1) + face
+        count = len(np.unique(visit[occupation >= 0]))
         is_repeated = (occupation >= 0).sum() >= MIN_MEAN_REPEATS * count
         if count >= MIN_REPEATS_FOR_VARIANCE and (is_repeated or centring.stations):
             places.append(_CentringPlace(centring, occupation, requires_common_length=not is_repeated))
@@ -223,7 +226,8 @@ def best_centring_sigma(residual_space: ResidualSpace, occupation_indices: Ints)
     """Restricted maximum likelihood estimate of the standard deviation of centring errors.
 
     `residual_space` contains the whitened residuals of a network, and the projection of design columns off all its
-    unknowns. `occupation_indices` (n,) are the occupations of n pointings; -1 for pointings without centring errors.
+    unknowns. `occupation_indices` (n,) number the placements of reflectors on targets for n pointings; -1 without
+    centring errors.
     """
     design_columns = residual_space.whitened_design(CentringErrors(1.0, occupation_indices))
     projected = residual_space.project(design_columns)

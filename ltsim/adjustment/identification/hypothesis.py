@@ -86,7 +86,7 @@ class CoordinateExchange:
 
 @dataclass(frozen=True)
 class CentringChange:
-    """Change of the model by centring errors: a random displacement of the reflector at each occupation of targets."""
+    """Change of the model by centring errors: random displacements of the reflector, new ones at each placement."""
 
     centring_uncertainty: CentringUncertainty
     """Stations and targets with centring errors, and the standard deviation of the displacements."""

@@ -2,14 +2,14 @@
 
 A family contains the hypotheses on one kind of shift of readings: one hypothesis for each station, target or
 instrument, and for each possible onset time. Their design columns are computed from one array, so that a network with
-thousands of stations and targets is screened at once.
+thousands of stations and targets is tested at once.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, product
+from itertools import product
 from typing import Literal, get_args
 
 import numpy as np
@@ -20,21 +20,17 @@ from ltsim.adjustment.identification.fit import NetworkFit
 from ltsim.adjustment.identification.hypothesis import (
     CauseHypothesis,
     CauseKind,
-    CoordinateExchange,
     NoiseFactorChange,
     ReadingShiftChange,
     ReferenceOmission,
     RowCorrection,
 )
 from ltsim.adjustment.identification.reading_shifts import ReadingShift
-from ltsim.adjustment.reference_values import ReferenceValueRows, reference_values, without_reference_coordinates
+from ltsim.adjustment.reference_values import ReferenceValueRows, reference_values
 from ltsim.adjustment.significance import MIN_REPEATS_FOR_VARIANCE
-from ltsim.adjustment.start import initial_network
 from ltsim.adjustment.station_motions import UniformMotion
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.core.errors import NetworkError
-from ltsim.core.units import MILLIMETRE
-from ltsim.geometry.rigid import MIN_POINTS_FOR_POSE, largest_alignment_distance
+from ltsim.geometry.rigid import MIN_POINTS_FOR_POSE
 from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.effects.motions import station_motion_design
 from ltsim.physics.effects.nest_lift import NestLift
@@ -46,13 +42,6 @@ from ltsim.physics.laws.law import MAX_CANDIDATE_SWITCH_EDGES
 from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.scene.sightings import Sightings
 
-MIN_POINTS_FOR_EXCHANGE = 4
-"""Smallest number of reference points for a test whether two points are exchanged. With three points an exchange always
-fits, as a mirror image."""
-MAX_EXCHANGE_MISCLOSURE_RATIO = 0.02
-"""Largest ratio of misclosures at which the exchange of two reference points becomes a hypothesis: largest misclosure
-of the reference points after this exchange, divided by that without an exchange or after any other exchange.
-"""
 PlaceKind = Literal["station", "target", "instrument", "sight"]
 """Kind of place where a shift of readings acts: one station, one target, all stations of an instrument, or the sight
 from one station to one target."""
@@ -167,7 +156,7 @@ def shift_places(sightings: Sightings, place_kind: PlaceKind) -> list[ShiftPlace
 
 
 def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
-    """Families of all shifts of readings that are possible in a recording, one per kind of shift and of place."""
+    """Groups of hypotheses on possible shifts of readings in a recording, one group per kind of shift and place."""
     stations = len(sightings.station_names) > 1
     distance, azimuth, elevation = (
         ReadingShift(observable).design(sightings) for observable in ("distance", "azimuth", "elevation")
@@ -222,7 +211,7 @@ class ShiftCandidate:
     """Candidate hypothesis: shift of readings of one kind, at one station, target or instrument, from a time on."""
 
     family: ShiftFamily
-    """Family of the shift: all shifts of its kind, with their common design matrix."""
+    """Group of all shifts of the same kind, with their common design matrix."""
     place: ShiftPlace
     """Stations and targets where the shift acts."""
     onset_time: float
@@ -230,7 +219,7 @@ class ShiftCandidate:
     affected_rows: Ints
     """Indices of the pointings that are shifted."""
     earlier_rows: Ints
-    """Indices of the pointings at the same stations and targets before the onset."""
+    """Indices of the pointings at the same stations and targets before the onset of the shift."""
     n_candidates_of_kind: int
     """Number of candidates of this kind, which share the prior probability of the kind equally."""
 
@@ -327,46 +316,6 @@ def convention_corrections(recording: Recording) -> list[CauseHypothesis]:
         prior = log_prior_of_kind("unit", len(recording.stations))
         hypotheses.append(CauseHypothesis("unit", "position", mistake.stations, (), prior, change, mistake.sentence))
     return hypotheses
-
-
-def reference_point_exchanges(recording: Recording) -> list[CauseHypothesis]:
-    """Hypothesis that the coordinates of two reference points are exchanged, as a list; empty if no exchange fits.
-
-    The reference coordinates are compared with the shape of the network computed without them.
-    """
-    setup_by_name = {name: recording.target_setup(name) for name in recording.targets}
-    names = [
-        name for name, target in setup_by_name.items() if target.known_mm is not None and target.known_axes == "xyz"
-    ]
-    if len(names) < MIN_POINTS_FOR_EXCHANGE:
-        return []
-    try:
-        (_, _, points), _ = initial_network(without_reference_coordinates(recording))
-        here = points[[recording.targets.index(name) for name in names]]
-        there = np.array([setup_by_name[name].known_mm for name in names]) * MILLIMETRE
-        miss = largest_alignment_distance(here, there)
-        pairs = list(combinations(range(len(names)), 2))
-        swapped = [largest_alignment_distance(here, there[_swapped_order(len(names), *pair)]) for pair in pairs]
-    except NetworkError:
-        return []
-    best_index = int(np.argmin(swapped))
-    if not swapped[best_index] < MAX_EXCHANGE_MISCLOSURE_RATIO * min(
-        [miss, *swapped[:best_index], *swapped[best_index + 1 :]]
-    ):
-        return []
-    first, second = (names[i] for i in pairs[best_index])
-    sentence = f"The reference coordinates of {first} and {second}, or the names of these targets, are exchanged."
-    prior = log_prior_of_kind("names", len(pairs))
-    return [
-        CauseHypothesis("names", "point", (), (first, second), prior, CoordinateExchange((first, second)), sentence)
-    ]
-
-
-def _swapped_order(n_points: int, first_index: int, second_index: int) -> list[int]:
-    """Indices 0 to `n_points` - 1 in ascending order, with `first_index` and `second_index` exchanged."""
-    order = list(range(n_points))
-    order[first_index], order[second_index] = second_index, first_index
-    return order
 
 
 def noise_hypotheses(fit: NetworkFit) -> Iterator[tuple[CauseHypothesis, Bools]]:

@@ -117,12 +117,12 @@ def _robust_parameters(
     """
     if unit_columns.shape[2] == 1:
         column = unit_columns[:, :, 0]
-        amount = _row_medians(residual / np.where(column != 0.0, column, 1.0), is_outlier)[:, None]
+        amount = _masked_row_medians(residual / np.where(column != 0.0, column, 1.0), is_outlier)[:, None]
     else:
         amount = _least_squares(unit_columns, residual, is_outlier.astype(np.float64))
         for _ in range(N_REWEIGHTINGS_OF_SHIFT_FIT):
             miss = np.abs(residual - _reading_changes(unit_columns, amount))
-            scale = np.maximum(1.5 * _row_medians(miss, is_used), 1.0)
+            scale = np.maximum(1.5 * _masked_row_medians(miss, is_used), 1.0)
             amount = _least_squares(unit_columns, residual, is_used / np.sqrt(np.maximum(miss / scale[:, None], 1.0)))
     for _ in range(N_TRIMMED_FITS):
         fits = is_used & (0.5 * (residual - _reading_changes(unit_columns, amount)) ** 2 < outlier_cost)
@@ -136,7 +136,7 @@ def _reading_changes(unit_columns: Floats, parameters: Floats) -> Floats:
     return np.asarray((unit_columns @ parameters[:, :, None])[:, :, 0])
 
 
-def _row_medians(row_values: Floats, mask: Bools) -> Floats:
+def _masked_row_medians(row_values: Floats, mask: Bools) -> Floats:
     """Medians (h,) of the rows of `row_values` (h, m), over the values that `mask` (h, m) selects."""
     ordered, count = np.sort(np.where(mask, row_values, np.inf), axis=1), mask.sum(axis=1)
     row_indices = np.arange(len(row_values))

@@ -52,8 +52,8 @@ def refine_motion_time(fit: NetworkFit) -> NetworkFit:
 def refine_time_constant(fit: NetworkFit) -> NetworkFit:
     """Fit with an improved time constant of a settling station, if this is the hypothesis selected last.
 
-    The screening tries a few time constants. The readings of a large motion that another time constant does not explain
-    would appear as further causes.
+    The approximate tests of all hypotheses try only a few time constants. The readings of a large motion that another
+    time constant does not explain would appear as further causes.
     """
     *others, last = fit.hypotheses
     change = last.model_change

@@ -114,6 +114,11 @@ def corrected_faults(tests: Iterable[CauseTest]) -> list[CauseTest]:
     return [test for test in tests if test.is_fault and test.kind != "outlier"]
 
 
+def modelled_shifts(tests: Iterable[CauseTest]) -> list[CauseTest]:
+    """Identified errors, other than outliers, that the adjusted model corrects by a shift with an estimated size."""
+    return [test for test in corrected_faults(tests) if test.sigma is not None and test.is_in_model]
+
+
 def corrections_sentence(tests: Iterable[CauseTest]) -> str:
     """Sentences on the identified errors that the adjusted model of a result corrects, and on those that remain in it.
 

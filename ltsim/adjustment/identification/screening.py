@@ -1,4 +1,4 @@
-"""Screening of all hypotheses on errors by their approximate gain of log evidence relative to a fit.
+"""Approximate test (screening) of all hypotheses on errors of a network, by their gain of log evidence.
 
 Two methods are used, and the larger gain counts. Projection onto the residual space of a fit is exact for small errors.
 A fit to the residuals of one station or target, with the rest of the network unchanged, detects errors of any size
@@ -15,6 +15,12 @@ import numpy as np
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.fit_readings import FitReadings
 from ltsim.adjustment.fitting import fit_point
+from ltsim.adjustment.identification.approximate_gains import (
+    approximate_log_evidence_gains,
+    log_evidence_gain,
+    log_evidence_gains,
+    weighted_family_designs,
+)
 from ltsim.adjustment.identification.centring_errors import centring_hypotheses, local_centring_hypotheses
 from ltsim.adjustment.identification.evidence import (
     estimate_noise_factors_of_groups,
@@ -129,7 +135,7 @@ def _projected_log_evidence_gains(residual_space: ResidualSpace, candidates: Seq
     indices = np.arange(len(candidates))
     n_entries = np.array([residual_space.n_equations * c.family.design.shape[2] for c in candidates], dtype=np.int64)
     if n_entries.sum() > MAX_SCREENED_ENTRIES:
-        indices = np.argsort(-_approximate_log_evidence_gains(residual_space, candidates))
+        indices = np.argsort(-approximate_log_evidence_gains(residual_space, candidates))
         indices = indices[np.cumsum(n_entries[indices]) <= MAX_SCREENED_ENTRIES]
     by_rank: dict[int, list[int]] = {}
     for i in indices.tolist():
@@ -146,15 +152,8 @@ def _projected_log_evidence_gains(residual_space: ResidualSpace, candidates: Seq
             along = np.einsum("hij,hi->hj", turn, score)
             visible = strength > NORMAL_EQUATIONS_TOLERANCE
             drop = np.sum(np.where(visible, along**2 / np.where(visible, strength, 1.0), 0.0), axis=1)
-            shown = visible.sum(axis=1)
-            value = np.array([_log_evidence_gain(d, r) for d, r in zip(drop.tolist(), shown.tolist(), strict=True)])
-            gains[batch] = value + [candidates[i].log_prior for i in batch]
+            gains[batch] = log_evidence_gains(drop, visible.sum(axis=1)) + [candidates[i].log_prior for i in batch]
     return gains
-
-
-def _log_evidence_gain(chi2_drop: float, rank: int) -> float:
-    """Gain of log evidence, without prior, by a shift of `rank` components that decreases chi-square."""
-    return 0.5 * chi2_drop + float(log_occam_factor_of_shift(np.sqrt(chi2_drop), rank)) if rank else -np.inf
 
 
 def _whitened_design(residual_space: ResidualSpace, candidate: ShiftCandidate) -> Floats:
@@ -162,31 +161,6 @@ def _whitened_design(residual_space: ResidualSpace, candidate: ShiftCandidate) -
     design = np.zeros_like(candidate.family.design)
     design[candidate.affected_rows] = candidate.family.design[candidate.affected_rows]
     return residual_space.whiten(design)
-
-
-def _approximate_log_evidence_gains(space: ResidualSpace, candidates: Sequence[ShiftCandidate]) -> Floats:
-    """Approximate gains (h,) of log evidence by each of h candidate shifts, without projection.
-
-    Each gain uses only residuals (from `space`) of readings that the candidate shifts, weighted by redundancy.
-    """
-    use, count = space.is_used_reading, int(space.is_used_reading.sum())
-    residual, share = np.zeros(use.shape), np.zeros(use.shape)
-    residual[use], share[use] = space.whitened_residuals[:count], np.maximum(space.redundancy[:count], 1e-3)
-    gains = np.empty(len(candidates))
-    weighted = {
-        id(c.family): np.where(use[:, :, None], c.family.design / space.reading_sigmas[:, :, None], 0.0)
-        for c in candidates
-    }
-    for i, c in enumerate(candidates):
-        g, r, q = weighted[id(c.family)][c.affected_rows], residual[c.affected_rows], share[c.affected_rows]
-        gram = np.einsum("nki,nk,nkj->ij", g, q, g)
-        score = np.einsum("nki,nk->i", g, r)
-        scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-        strength, turn = np.linalg.eigh(gram / np.outer(scale, scale))
-        visible = strength > 1e-3
-        along = turn[:, visible].T @ (score / scale)
-        gains[i] = _log_evidence_gain(float(np.sum(along**2 / strength[visible])), int(visible.sum())) + c.log_prior
-    return gains
 
 
 def _local_shift_gains_and_starts(fit: NetworkFit, candidates: Sequence[ShiftCandidate]) -> tuple[Floats, list[Floats]]:
@@ -200,14 +174,9 @@ def _local_shift_gains_and_starts(fit: NetworkFit, candidates: Sequence[ShiftCan
     price = -log_prior_of_kind("outlier", int(fit.problem_with_all_readings.is_used_reading.sum())) - float(
         log_occam_factor_of_shift(10.0, 1)
     )
-    weighted = {
-        id(c.family): np.where(
-            fit.problem_with_all_readings.is_used_reading[:, :, None],
-            c.family.design / fit.problem.reading_sigmas[:, :, None],
-            0.0,
-        )
-        for c in candidates
-    }
+    weighted = weighted_family_designs(
+        candidates, fit.problem_with_all_readings.is_used_reading, fit.problem.reading_sigmas
+    )
     gross = np.asarray(fit.is_outlier.any(axis=1))
     trials = list[tuple[int, float, LocalShiftProblem]]()
     for i, c in enumerate(candidates):
@@ -215,9 +184,7 @@ def _local_shift_gains_and_starts(fit: NetworkFit, candidates: Sequence[ShiftCan
             out = int(gross[rows].sum())
             if 4 * out < len(rows) or 3 * out < c.family.design.shape[2] or not out:
                 continue
-            shift = LocalShiftProblem.from_design(
-                weighted[id(c.family)][rows], fit.whitened_residuals[rows], fit.is_outlier[rows]
-            )
+            shift = LocalShiftProblem.from_design(weighted[i][rows], fit.whitened_residuals[rows], fit.is_outlier[rows])
             trials += [(i, sign, shift)] if shift.has_outliers_and_parameters else []
     fits = fit_local_shifts([shift for *_, shift in trials], price)
     for (i, sign, _), (saved, guess) in zip(trials, fits, strict=True):
@@ -359,7 +326,7 @@ def _reference_hypotheses(fit: NetworkFit, adjustment: Adjustment) -> list[Scree
     for h in reference_omissions(fit):
         test = tests.get((h.acts_on, h.reference_name_or_sentence))
         if test is not None and test.rank:
-            offers.append((_log_evidence_gain(test.chi2_drop, test.rank) + h.log_prior, h))
+            offers.append((log_evidence_gain(test.chi2_drop, test.rank) + h.log_prior, h))
     return offers
 
 
@@ -371,7 +338,7 @@ def _length_scale_hypothesis(fit: NetworkFit, residual_space: ResidualSpace) -> 
     drop, rank = residual_space.chi2_drop(residual_space.whitened_design(scale))
     prior = log_prior_of_kind("reference-scale", 1)
     scale_hypothesis = CauseHypothesis("reference-scale", "length", (), (), prior, ReadingShiftChange(scale))
-    return [(_log_evidence_gain(drop, rank) + prior, scale_hypothesis)] if rank else []
+    return [(log_evidence_gain(drop, rank) + prior, scale_hypothesis)] if rank else []
 
 
 def _noise_hypotheses(fit: NetworkFit) -> list[ScreenedHypothesis]:

@@ -28,7 +28,6 @@ from ltsim.adjustment.identification.hypothesis import (
 from ltsim.adjustment.identification.hypothesis_library import (
     convention_corrections,
     omissions_of_reference_values,
-    reference_point_exchanges,
 )
 from ltsim.adjustment.identification.motion_refinement import (
     fit_or_none,
@@ -38,15 +37,16 @@ from ltsim.adjustment.identification.motion_refinement import (
     refine_time_constant,
 )
 from ltsim.adjustment.identification.reading_shifts import ReadingShift
+from ltsim.adjustment.identification.reference_geometry import common_scale_error, reference_point_exchanges
 from ltsim.adjustment.identification.screening import MAX_FITTED_HYPOTHESES, screened_hypotheses
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, MIN_LOG_EVIDENCE_GAIN, MIN_REPORTED_PROBABILITY
 from ltsim.adjustment.snooping import without_copied_rows
 from ltsim.core.errors import LtsimError, NetworkError
 from ltsim.core.limits import MAX_ADJUSTED_POINTINGS, MAX_ADJUSTED_TARGETS
+from ltsim.core.parallel import single_threaded
 from ltsim.physics.model.construction import GeometricErrorModel, declared_construction
 from ltsim.recordings.recording import Recording
-from ltsim.solve.threads import single_threaded
 
 MAX_SELECTED_HYPOTHESES = 8
 """Largest number of hypotheses on causes of a misfit that are selected for one network."""
@@ -85,7 +85,7 @@ first.
 
 @dataclass(frozen=True)
 class CauseSelectionState:
-    """State of the selection of hypotheses on the causes of a misfit; each step of it returns a new state."""
+    """Selected hypotheses on the causes of a misfit during the selection; each step returns a new state."""
 
     fit: NetworkFit
     """Network fit with the hypotheses that are selected so far."""
@@ -140,7 +140,7 @@ def select_causes(fit_input: FitInput, min_gain: float = MIN_LOG_EVIDENCE_GAIN) 
 
 
 def _forward_step(state: CauseSelectionState) -> CauseSelectionState | None:
-    """State with one more hypothesis, which increases the log evidence most; None if no increase is large enough.
+    """Selection with one more hypothesis, which increases the log evidence most; None if no increase is large enough.
 
     Instead of centring errors, several other hypotheses are added if their log evidence is larger.
     """
@@ -159,7 +159,7 @@ def _forward_step(state: CauseSelectionState) -> CauseSelectionState | None:
 
 
 def _backward_step(state: CauseSelectionState) -> CauseSelectionState:
-    """State without those hypotheses whose removal decreases the log evidence by less than the `min_gain` of the state.
+    """Selection without those hypotheses whose removal decreases the log evidence by less than its `min_gain`.
 
     Only hypotheses that may explain the same readings as the hypothesis selected last are tried. Of the initial
     hypotheses only exclusions of reference values may be removed, because no network can be fitted without the other
@@ -184,7 +184,7 @@ def _backward_step(state: CauseSelectionState) -> CauseSelectionState:
 
 
 def _exchange_step(state: CauseSelectionState) -> CauseSelectionState | CauseSelection:
-    """State with one hypothesis exchanged for a better alternative; without such an alternative, the final result.
+    """Selection with one hypothesis exchanged for a better alternative; without such an alternative, the final result.
 
     Every hypothesis is compared with its alternatives, given the other hypotheses. The hypotheses of the initial fit
     are not compared, because no network can be fitted without them.
@@ -272,6 +272,8 @@ def _initial_fit(fit_input: FitInput) -> NetworkFit:
     These errors would distort the network too much for other tests.
     """
     corrections = convention_corrections(fit_input.recording)
+    if not corrections and (scaled_fit := _fit_with_common_scale(fit_input)) is not None:
+        return scaled_fit
     far, count, state = NetworkFit.references_with_large_residuals(fit_input, corrections)
     if any(value.kind == "point" for value in far) and (names := reference_point_exchanges(fit_input.recording)):
         corrections = [*corrections, *names]
@@ -289,6 +291,19 @@ def _initial_fit(fit_input: FitInput) -> NetworkFit:
     if fit is None:
         raise NetworkError("no network fits the observations, because they contradict each other too much")
     return fit
+
+
+def _fit_with_common_scale(fit_input: FitInput) -> NetworkFit | None:
+    """Fit with a scale error of all distances that the lengths show; None without such an error.
+
+    Without this hypothesis, no network fits distances in another unit and reference coordinates.
+    """
+    prior, construction = fit_input.prior, fit_input.construction
+    parameters = (
+        np.zeros((len(fit_input.recording.instruments), construction.n_parameters)) if prior is None else prior.mean
+    )
+    scale_error = common_scale_error(fit_input.recording, parameters)
+    return None if scale_error is None else NetworkFit.from_start(fit_input, scale_error[:1], scale_error[1])
 
 
 def _fit_with_distance_constant(fit_input: FitInput) -> NetworkFit | None:

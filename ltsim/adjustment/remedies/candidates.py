@@ -89,7 +89,7 @@ ADVICE_SENTENCES = {
     "left open": "; no tested measurement also separates it from {others}",
     "undecided": "no tested measurement separates {first} from {others} (expected chi-square difference {then}, "
     "{needed:.0f} needed); an independent measurement of the cause would separate them",
-    "cause": "an independent measurement of its cause",
+    "cause": "an independent measurement of the cause",
     "determined": "{do} (information on this combination rises from {now:.0f} % to {then:.0f} %)",
     "network method": "calibrate with the method network: it determines this combination from the same recording",
     "determined already": "{do} (information on this combination is {then:.0f} %)",
@@ -200,7 +200,7 @@ def pointing_candidates(
     recording = network.recording
     last_index = int(recording.station[np.argmax(recording.time)])
     station, here = recording.stations[last_index], _setup_rows(recording, last_index)
-    order = _targets_in_order(recording.target[here])
+    order = _targets_in_measurement_order(recording.target[here])
     usual_face = int(recording.face[here[0]])
 
     def candidate(key: str, target: Ints, face: int = usual_face, **values: object) -> CandidateMeasurement:
@@ -247,7 +247,7 @@ def repeated_setup_candidates(
         np.linspace(0, n_stations - 1, min(n_stations, MAX_REPEATED_SETUPS)).round().astype(int)
     ).tolist()
     for s in indices if stations is None else stations:
-        target = _targets_in_order(recording.target[_setup_rows(recording, s)])
+        target = _targets_in_measurement_order(recording.target[_setup_rows(recording, s)])
         if len(target):
             words = advice_sentence("turned", station=recording.stations[s], turn=REPEATED_SETUP_BASE_ROTATION / DEGREE)
             grown = network.with_station(
@@ -333,7 +333,7 @@ def _pointings_by_procedure(recording: Recording, pointing_indices: Ints, proced
     if procedure == "close":
         return [
             (t, existing[0][1])
-            for t in _targets_in_order(recording.target[pointing_indices])[:MIN_POINTS_FOR_POSE].tolist()
+            for t in _targets_in_measurement_order(recording.target[pointing_indices])[:MIN_POINTS_FOR_POSE].tolist()
         ]
     return existing[::-1]
 
@@ -390,7 +390,7 @@ def _setup_rows(recording: Recording, station: int) -> Ints:
     return station_rows[np.argsort(recording.time[station_rows], kind="stable")]
 
 
-def _targets_in_order(target: Ints) -> Ints:
+def _targets_in_measurement_order(target: Ints) -> Ints:
     """Distinct target indices in the order of their first pointings, from the target `target` (n,) of each pointing."""
     return np.array(list(dict.fromkeys(target.tolist())), dtype=np.int64)
 

@@ -41,7 +41,7 @@ class PlannedNetwork:
 
     @classmethod
     def from_adjustment(cls, adjustment: Adjustment, construction: GeometricErrorModel | None = None) -> PlannedNetwork:
-        """Network of an adjustment, without its rejected readings.
+        """Planned network that contains the pointings of an adjustment, without its rejected readings.
 
         The geometric error model is `construction`, by default that of the adjustment. With another number of
         parameters, the parameters are zero.

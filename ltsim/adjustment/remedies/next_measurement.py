@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from ltsim.adjustment import adjust
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.remedies.candidates import (
     CANDIDATE_KINDS_BY_EFFORT,
@@ -29,8 +28,6 @@ from ltsim.core.equality import ValueEquality
 from ltsim.physics.effects import effect_title
 from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.effects.verbs import effect_tuple
-from ltsim.physics.model.construction import declared_construction
-from ltsim.recordings.exchange import RecordingSource, load_recording
 
 MIN_DECISIVE_CHI2 = 10.0
 """Smallest expected difference of chi-square at which two possible causes count as distinguished."""
@@ -152,33 +149,6 @@ class RankedProposals(ValueEquality):
         sentence = advice_sentence("decided", do=best_proposal.candidate.instruction, now=now, **template_values)
         remaining = [titles[name] for name in self.compared_explanations[1:] if name not in distinguished]
         return sentence + (advice_sentence("left open", others=list_text(remaining)) if remaining else "")
-
-
-def rank_next_measurements(
-    recording: RecordingSource,
-    *,
-    explanations: Sequence[str] = (),
-    with_effects: str | LinearEffect | Sequence[str | LinearEffect] = (),
-    minutes_per_move: float = 20.0,
-    visibility_function: VisibilityFunction | None = None,
-    progress: ProgressCallback = no_progress,
-) -> RankedProposals:
-    """Proposals of further measurements after a recording, the best first.
-
-    The arguments are those of `lt.next_measurement`; `visibility_function` restricts the positions of additional
-    stations and the targets that they measure.
-    """
-    input_recording = load_recording(recording)
-    adjustment = adjust(input_recording, declared_construction(input_recording))
-    adjustment.solution.require_success()
-    options: dict[str, Any] = {
-        "seconds_per_move": 60.0 * minutes_per_move,
-        "visibility_function": visibility_function,
-        "progress": progress,
-    }
-    if len(explanations) > 1:
-        return rank_measurements_between(adjustment, explanations, with_effects, **options)
-    return rank_informative_measurements(PlannedNetwork.from_adjustment(adjustment), **options)
 
 
 def rank_measurements_between(

@@ -63,12 +63,12 @@ def candidate_times_between_occupations(sightings: Sightings, target_index: int,
     return [float(t) for t in np.unique(middles)]
 
 
-def neighbouring_gap_times(times: Floats, time: float) -> list[float]:
-    """Midpoints [s] of the gaps, near `time` [s], between n successive pointings at `times` (n,) [s].
+def neighbouring_gap_times(effect: Effect, sightings: Sightings, time: float) -> list[float]:
+    """Midpoints [s] of the gaps, near `time` [s], between successive pointings on which `effect` acts.
 
     There are up to `N_NEIGHBOURING_GAPS` of these gaps before `time`, and as many after it.
     """
-    ordered = np.unique(times)
+    ordered = np.unique(sightings.time[effect.pointing_indicator(sightings) > 0])
     midpoints = 0.5 * (ordered[1:] + ordered[:-1])
     index = int(np.searchsorted(midpoints, time))
     return [float(t) for t in midpoints[max(index - N_NEIGHBOURING_GAPS, 0) : index + N_NEIGHBOURING_GAPS + 1]]

@@ -49,8 +49,7 @@ class RangeStep(Effect):
 
     def neighbours(self, sightings: Sightings) -> list[Self]:
         """Copies of this step in neighbouring gaps between pointings, which a local search tries."""
-        times = sightings.time[self.pointing_indicator(sightings) > 0]
-        return [self.with_shape_parameters(time=t) for t in neighbouring_gap_times(times, self.time)]
+        return [self.with_shape_parameters(time=t) for t in neighbouring_gap_times(self, sightings, self.time)]
 
     def design(self, sightings: Sightings) -> Floats:
         after = self.pointing_indicator(sightings) * (sightings.time >= self.time)

@@ -47,8 +47,7 @@ class StationBump(StationMotionEffect):
 
     def neighbours(self, sightings: Sightings) -> list[Self]:
         """Copies of this bump in neighbouring gaps between pointings, which a local search tries."""
-        times = sightings.time[self.pointing_indicator(sightings) > 0]
-        return [self.with_shape_parameters(time=t) for t in neighbouring_gap_times(times, self.time)]
+        return [self.with_shape_parameters(time=t) for t in neighbouring_gap_times(self, sightings, self.time)]
 
     def motion(self, sightings: Sightings) -> Floats:
         return (self.pointing_indicator(sightings) * (sightings.time >= self.time))[:, None, None] * np.eye(6)

@@ -77,12 +77,8 @@ class TargetMoved(TargetDisplacementEffect):
 
     def neighbours(self, sightings: Sightings) -> list[Self]:
         """Copies of this step in neighbouring gaps between pointings, which a local search tries; none for creep."""
-        times = sightings.time[self.pointing_indicator(sightings) > 0]
-        return (
-            [self.with_shape_parameters(time=t) for t in neighbouring_gap_times(times, self.time)]
-            if self.kind == "step"
-            else []
-        )
+        times = neighbouring_gap_times(self, sightings, self.time) if self.kind == "step" else []
+        return [self.with_shape_parameters(time=t) for t in times]
 
     def displacement(self, sightings: Sightings) -> Floats:
         fraction = (

@@ -64,11 +64,11 @@ class Window(TargetDisplacementEffect):
                 length = max(2, round(share * len(order)))
                 for first in range(0, len(order), max(1, length // 2)):
                     block = [order[(first + k) % len(order)] for k in range(min(length, len(order)))]
-                    candidates += cls._perpendicular_panes(sightings, station, block)
+                    candidates += cls._panes_across_sights(sightings, station, block)
         return candidates
 
     @classmethod
-    def _perpendicular_panes(cls, sightings: Sightings, station: str, target_sequence: list[int]) -> list[Self]:
+    def _panes_across_sights(cls, sightings: Sightings, station: str, target_sequence: list[int]) -> list[Self]:
         """List with an upright glass pane perpendicular to the direction from a station to the middle of some targets.
 
         `target_sequence` are the indices of the targets behind the pane. The list is empty if their middle is
@@ -93,7 +93,7 @@ class Window(TargetDisplacementEffect):
         for k, t in enumerate(order):
             at_edge = inside[k] != inside[k - 1] or inside[k] != inside[(k + 1) % len(order)]
             if at_edge:
-                windows += self._perpendicular_panes(sightings, self.stations[0], sorted(behind ^ {t}))
+                windows += self._panes_across_sights(sightings, self.stations[0], sorted(behind ^ {t}))
         x, y, _ = self.pane_normal
         angles = [np.arctan2(y, x) + angle for angle in CANDIDATE_PANE_ROTATIONS]
         return windows + [

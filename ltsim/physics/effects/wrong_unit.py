@@ -4,7 +4,7 @@ from typing import Self
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import unknown_name_error
+from ltsim.core.errors import ModelError, unknown_name_error
 from ltsim.physics.effects.effect import Blunder, LightPathStage, Parameter
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.recordings.transcription_errors import UNIT_AND_CONVENTION_ERRORS, WrongColumnConversion
@@ -16,7 +16,7 @@ UNIT_ERRORS_BY_NAME = {slip.name: slip for slip in UNIT_AND_CONVENTION_ERRORS}
 
 @dataclass(frozen=True)
 class WrongUnit(Blunder):
-    """Wrong unit: readings of a station are in another unit, counted in the opposite sense, or zenith angles.
+    """Wrong unit: readings of a station or of one face are in another unit, in the opposite sense, or zenith angles.
 
     The correct reading is multiplied by a factor, replaced by its complement to a right angle, or counted clockwise.
     `recordings.transcription_errors` lists these errors.
@@ -33,6 +33,8 @@ class WrongUnit(Blunder):
 
     mistake: str = "gon"
     """Name of the wrong unit or convention, a key of `UNIT_ERRORS_BY_NAME`."""
+    face: int = 0
+    """Face, 1 or 2, whose readings are in the wrong unit; 0 for both faces."""
 
     name = "wrong-unit"
     light_path_stage = LightPathStage.ELECTRONICS
@@ -42,6 +44,8 @@ class WrongUnit(Blunder):
     def __post_init__(self) -> None:
         if self.mistake not in UNIT_ERRORS_BY_NAME:
             raise unknown_name_error("wrong unit", self.mistake, UNIT_ERRORS_BY_NAME)
+        if self.face not in (0, 1, 2):
+            raise ModelError(f"face = {self.face}: expected 1 or 2, or 0 for both faces")
         object.__setattr__(self, "observables", tuple(OBSERVABLES[c] for c in self.transcription_error.changed_columns))
 
     @property
@@ -61,9 +65,9 @@ class WrongUnit(Blunder):
 
     def recorded_readings(self, sightings: Sightings, readings: Floats) -> Floats:
         """Readings (n, 3) of n pointings in the wrong unit, from the correct readings (n, 3)."""
-        return np.where(
-            self.pointing_indicator(sightings)[:, None] > 0, self.transcription_error.with_error(readings), readings
-        )
+        is_in_face = np.full(len(readings), True) if self.face == 0 else sightings.face == self.face
+        is_changed = (self.pointing_indicator(sightings) > 0) & is_in_face
+        return np.where(is_changed[:, None], self.transcription_error.with_error(readings), readings)
 
     def design(self, sightings: Sightings) -> Floats:
         return (self.recorded_readings(sightings, sightings.ideal_raw_readings) - sightings.ideal_raw_readings)[

@@ -188,8 +188,8 @@ class EmpiricalLaw(CandidateEffect):
             step = 2 * np.pi * WAVE_FREQUENCY_STEP / float(np.ptp(sightings.covariate_values[regressor.covariates[0]]))
             rates = regressor.constant + step * np.linspace(-0.9, 0.9, 19)
             return [replace(self, regressor=replace(regressor, constant=float(r))) for r in rates if r > 0]
-        if self._movable_regressor is not None:
-            return self._with_moved_steps(sightings, self._movable_regressor)
+        if self._steps_or_switch_to_move is not None:
+            return self._with_moved_steps(sightings, self._steps_or_switch_to_move)
         if regressor.hall_region is not None:
             is_near = any(f.kind == "near" for f in (regressor, *regressor.factors))
             neighbours = [
@@ -216,7 +216,7 @@ class EmpiricalLaw(CandidateEffect):
         return [replace(self, regressor=d) for d in neighbours if d.release_threshold < d.constant]
 
     @property
-    def _movable_regressor(self) -> Regressor | None:
+    def _steps_or_switch_to_move(self) -> Regressor | None:
         """Steps, ramps or a switch (on, off) that a local search moves; None without them, or for a law of a region."""
         step_factors = [f for f in (self.regressor, *self.regressor.factors) if f.kind in ("pieces", "switch")]
         movable_factors = [f for f in step_factors if f.kind == "switch" or len(f.factors) <= MAX_STEPS_IN_MOVED_LAW]
@@ -316,13 +316,13 @@ class EmpiricalLaw(CandidateEffect):
 
     def with_sum_of_steps(self, steps: Sequence[Regressor]) -> EmpiricalLaw:
         """Copy of the law whose function, or a factor of it, is a sum of steps with separate coefficients."""
-        return replace(self, regressor=self._regressor_with_gate(piecewise_regressor(steps)), length_scale_index=0)
+        return replace(self, regressor=self._regressor_with_switch(piecewise_regressor(steps)), length_scale_index=0)
 
     def with_switch(self, edge_steps: Sequence[Regressor]) -> EmpiricalLaw:
         """Copy of the law that acts only in intervals of a covariate, which begin and end at `edge_steps`."""
-        return replace(self, regressor=self._regressor_with_gate(switch_regressor(edge_steps)), length_scale_index=0)
+        return replace(self, regressor=self._regressor_with_switch(switch_regressor(edge_steps)), length_scale_index=0)
 
-    def _regressor_with_gate(self, gate_regressor: Regressor) -> Regressor:
+    def _regressor_with_switch(self, gate_regressor: Regressor) -> Regressor:
         """Function of covariates in which `gate_regressor` (steps, switch) replaces a curve, or multiplies a length."""
         if self.depends_on_permanent_region:
             return Regressor("product", factors=(self.regressor, gate_regressor))

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.cluster.hierarchy import linkage
 from scipy.sparse.csgraph import connected_components
 
 from ltsim.core.arrays import Ints
@@ -75,6 +74,8 @@ def target_clusters(sightings: Sightings) -> set[tuple[int, ...]]:
     """
     if len(sightings.target_points) < 2 * MIN_GROUP_TARGETS:
         return set()
+    from scipy.cluster.hierarchy import linkage  # slow to load, and only a diagnosis clusters targets
+
     scaled_normals = np.nan_to_num(sightings.nest_normals) * np.ptp(sightings.target_points, axis=0).max()
     clusters = set()
     for features in (

@@ -174,7 +174,7 @@ def candidate_regressors(sightings: Sightings, n_modes: int = N_CURVE_MODES) -> 
     remembered = [f"{prefix}-{name}" for prefix in MEMORY_OPERATOR_PREFIXES for name in columns]
     before = _varying_covariates(s, (*MEMORY_COVARIATES, *remembered))
     turning = [n for n in base if n not in CLOCK_COVARIATES]  # time never decreases
-    signs = [n for n in _varying_covariates(s, _SIGN_COVARIATES) if n != "seating-parity" or _parities_differ(s)]
+    signs = [n for n in _varying_covariates(s, _SIGN_COVARIATES) if n != "seating-parity" or _alternations_differ(s)]
     return {
         "constant": [CONSTANT_REGRESSOR],
         "sign": [scalar_regressor(name, "power") for name in signs],
@@ -300,7 +300,7 @@ def _time_step_regressors(sightings: Sightings) -> list[Regressor]:
     ]
 
 
-def _parities_differ(sightings: Sightings) -> bool:
+def _alternations_differ(sightings: Sightings) -> bool:
     """True if a sign that alternates with each target differs from a sign that alternates with each pointing."""
     parity, seating = (sightings.covariate_values[name] for name in ("parity", "seating-parity"))
     return abs(float(parity @ seating)) < len(parity)

@@ -1,12 +1,19 @@
-"""Variance functions: noise hypotheses that no catalogue effect describes, and errors that repeated pointings share."""
+"""Variance functions: noise hypotheses that no catalogue effect describes.
+
+Repeated pointings can share an error, and so can all pointings to a reflector that is centred once.
+"""
+
+from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.units import MILLIMETRE
 from ltsim.physics.effects.linear_effect import CandidateNoiseEffect, Parameter
 from ltsim.physics.laws.columns import CIRCULAR_COVARIATES, MEMORY_COVARIATE_PREFIXES
+from ltsim.recordings.centring_errors import CentringUncertainty, OccupationGrouping
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.regions import HallRegion
 from ltsim.scene.sightings import Sightings
@@ -19,6 +26,13 @@ faces."""
 MIN_RELATIVE_PATH_IN_REGION = 0.05
 """Length of a line of sight within a region of the hall, divided by the longest one, up to which the line counts as
 outside the region."""
+RECENTRING_PHRASE_BY_OCCUPATION_GROUPING: dict[OccupationGrouping, str] = {
+    "station": "for each set-up",
+    "instrument_setup": "for each occupation by an instrument",
+    "target_setup": "at each occupation",
+    "day": "each day",
+}
+"""Phrases for users that say when a reflector is placed on its target again, by the kind of occupation."""
 
 
 def noise_groups(sightings: Sightings, group_kind: str) -> tuple[tuple[str, ...], Ints]:
@@ -169,3 +183,60 @@ class VarianceFunction(CandidateNoiseEffect):
         acts = [float(o in self.observables) for o in OBSERVABLES]
         grown: Floats = sigma**2 * (1.0 + added_fraction[:, None] * np.array(acts))
         return grown
+
+
+def shared_errors_sentence(sigma_text: str) -> str:
+    """Sentence for users on centring errors at all set-ups.
+
+    `sigma_text` is the standard deviation of a displacement as text with its unit.
+    """
+    return (
+        f"Repeated pointings of a target from one set-up have common errors of {sigma_text} (standard deviation) along "
+        "each axis: the reflectors were placed anew at each set-up (centring), or errors repeat in all rounds. "
+        "The repeats are not independent."
+    )
+
+
+@dataclass(frozen=True)
+class CentringVariance(VarianceFunction):
+    """Noise hypothesis of centring errors: a random displacement of the reflector at each placement on a target.
+
+    All pointings of a placement have the same displacement, so that the variance of single readings does not change.
+    The adjustment estimates the displacements as unknowns. Their prior standard deviation is the parameter of the
+    hypothesis.
+    """
+
+    occupation_grouping: OccupationGrouping = "station"
+    """Kind of occupation, which says when a reflector is placed on its target again (such as at every set-up)."""
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Only parameter of the hypothesis: the standard deviation of the displacements along each axis."""
+        return (Parameter("centring", "mm", "standard deviation of a displacement along each axis", MILLIMETRE),)
+
+    @property
+    def regressor_text(self) -> str:
+        """Name, shown to users, of the covariate of the displacements: the occupation of the target."""
+        return "occupation of the target"
+
+    @property
+    def text(self) -> str:
+        """Description, shown to users, of the centring errors."""
+        return f"reflectors that are centred anew {RECENTRING_PHRASE_BY_OCCUPATION_GROUPING[self.occupation_grouping]}"
+
+    def sentence(self, sigma_text: str) -> str:
+        """Sentence for users on the centring errors.
+
+        `sigma_text` is the standard deviation of a displacement as text with its unit.
+        """
+        if self.occupation_grouping == "station":
+            return shared_errors_sentence(sigma_text)
+        return f"Centring errors: {self.text}, with a standard deviation of {sigma_text} along each axis."
+
+    def variance(self, sightings: Sightings, sigma: Floats, parameter_values: Floats) -> Floats:
+        """Variance (n, 3) of the three readings of n pointings: the declared variance, without the displacements."""
+        return sigma**2
+
+    def as_declared_uncertainty(self, sigma: float) -> CentringUncertainty:
+        """Centring errors with the standard deviation `sigma` [m], as an entry of `setup.toml` declares them."""
+        return CentringUncertainty(sigma_mm=sigma / MILLIMETRE, occupation=self.occupation_grouping)

@@ -229,9 +229,12 @@ equivalent to the misalignments of a tracker with the laser source in the head."
 
 _EQUAL_PRIOR_CONTRIBUTION_RANGE = 5.0
 """Range [m] at which the coefficients of all degrees of the range polynomials have equal prior contributions."""
+UNPHYSICAL_DH_SIGMA = 0.05
+"""Prior standard deviation [5 um or 1 arcsec] of coefficients that are not in `SPECIFIED_QUANTITY_BY_DH_COEFFICIENT`.
+They have no physical cause, and most of them act like other coefficients (`DH_CHAIN`)."""
 
 
-def dh_construction(max_order: int = 2, degree: int = 2, *, unphysical_sigma: float = 0.05) -> GeometricErrorModel:
+def dh_construction(max_order: int = 2, degree: int = 2) -> GeometricErrorModel:
     """Denavit-Hartenberg model of a tracker (Sensors 2021, 21, 7479) with all coefficients of its eq. 3, 4, 6 and 7.
 
     Parameters
@@ -240,10 +243,6 @@ def dh_construction(max_order: int = 2, degree: int = 2, *, unphysical_sigma: fl
         Highest order of the harmonics of the azimuth and elevation axes, 0 to 4.
     degree : int
         Degree of the polynomials in the range that describe the error motions of the range axis.
-    unphysical_sigma : float
-        Prior standard deviation of coefficients that are not in `SPECIFIED_QUANTITY_BY_DH_COEFFICIENT`, divided by 5 um
-        or 1 arcsec. They have no physical cause, and most of them change the readings in the same way as other
-        coefficients (`DH_CHAIN`). The prior keeps them near zero.
 
     Notes
     -----
@@ -263,7 +262,7 @@ def dh_construction(max_order: int = 2, degree: int = 2, *, unphysical_sigma: fl
         name = f"{key}_{end}"
         quantity = SPECIFIED_QUANTITY_BY_DH_COEFFICIENT.get(name)
         unit, size = ("urad", ARCSECOND) if ".e" in key else ("um", 5 * MICROMETRE)
-        unspecified = unit, unphysical_sigma * size * scale
+        unspecified = unit, UNPHYSICAL_DH_SIGMA * size * scale
         unit, sigma = UNIT_AND_SIGMA_BY_SPECIFIED_QUANTITY[quantity] if quantity else unspecified
         parameters.append(Parameter(name, unit, f"coefficient {name} of the Denavit-Hartenberg chain", sigma, quantity))
         terms.append(ChainErrorTerm(key, basis))

@@ -247,7 +247,7 @@ class MeasurementModel:
         return self._with_normals_and_readings(geometry, state, self._instrument_readings(geometry, state))
 
     def _with_normals_and_readings(self, geometry: Sightings, state: NetworkState, readings: Floats) -> Sightings:
-        """Copy of the sightings `geometry` with nest normals in the network frame and with raw readings (n, 3)."""
+        """Sightings `geometry` completed by nest normals in the network frame and by raw readings (n, 3)."""
         turn = self._declared_plan.rotation_to_network(state.station_positions, state.station_rotations)
         return replace(geometry, nest_normals=geometry.nest_normals @ turn.T, encoder_readings=readings)
 

@@ -123,7 +123,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     """
     lgc = _LgcContent(path)
     keyword, in_frame = "", False
-    for words in _lines(lgc):
+    for words in _words_by_line(lgc):
         first = words.words[0]
         if first.startswith("*"):
             keyword = first[1:].upper()
@@ -144,7 +144,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     return _make_recording(lgc)
 
 
-def _lines(lgc: _LgcContent) -> Iterator[LineWords]:
+def _words_by_line(lgc: _LgcContent) -> Iterator[LineWords]:
     """Words of each line that is not empty, without comments after % and $."""
     for i, line in enumerate(read_lines(lgc.path, replaces_undecodable=True, max_lines=MAX_LGC_LINES)):
         text = line.partition("%")[0].partition("$")[0]

@@ -356,7 +356,7 @@ def _make_recording(network: GamaNetwork) -> Recording:
     setup = Setup(
         title=network.title,
         air=NO_AIR_UNCERTAINTY,
-        instrument=Instrument(noise=_noise(network), corrected=True),
+        instrument=Instrument(noise=_default_noise(network), corrected=True),
         gauge=LengthGauge(distance=tuple(gauge)) if gauge else None,
         stations=stations,
         targets={n: _make_target(network.points.get(n, GamaPoint()), target_heights.get(n, 0.0)) for n in names},
@@ -384,7 +384,7 @@ def _make_target(point: GamaPoint, height: float) -> Target:
     )
 
 
-def _noise(network: GamaNetwork) -> Noise:
+def _default_noise(network: GamaNetwork) -> Noise:
     """Noise with the default standard deviations of the file; those of single observations are in columns."""
 
     def default(kind: str, fallback: float) -> float:

@@ -66,7 +66,7 @@ class _GsiBlock:
         """Name in the word with index `key` (such as "11"), without leading zeros."""
         return self.words[key][1][1:].strip().lstrip("0") or "0"
 
-    def _number(self, key: str) -> float:
+    def _word_value(self, key: str) -> float:
         """Number in the word with index `key`, in units of its last digit; raises RecordError."""
         digits = self.words[key][1].replace(" ", "")
         if re.fullmatch(r"[+-]-+", digits):
@@ -84,7 +84,7 @@ class _GsiBlock:
             raise self.location.error(
                 f"found the unit code '{safe_excerpt(unit)}' of a length, expected 0, 1, 6, 7 or 8"
             )
-        return self._number(key) * GSI_LENGTH_FACTORS_BY_UNIT_CODE[unit]
+        return self._word_value(key) * GSI_LENGTH_FACTORS_BY_UNIT_CODE[unit]
 
     def angle(self, key: str) -> float:
         """Angle [rad] in the word with index `key`, from gon, degrees, degrees-minutes-seconds or mils (1/6400 circle).
@@ -93,7 +93,7 @@ class _GsiBlock:
         """
         if key not in self.words:
             return NOT_MEASURED
-        unit, value = self.words[key][0][-1], self._number(key)
+        unit, value = self.words[key][0][-1], self._word_value(key)
         if unit == "4":
             degrees, rest = divmod(abs(value), 1e5)
             minutes, seconds = divmod(rest, 1e3)
@@ -119,9 +119,9 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     if hints.station is not None:
         field_book.add_setup(hints.station, 0.0, None, SourceLocation(path))
     lines = read_lines(path)
-    survey = _GsiFileProperties.from_blocks(_blocks(lines, path))
+    survey = _GsiFileProperties.from_blocks(_measurement_blocks(lines, path))
     setup_code = survey.setup_code(path, is_line_broken=not lines[-1].strip())
-    for block in _blocks(lines, path):
+    for block in _measurement_blocks(lines, path):
         _process_block(block, field_book, setup_code)
     notes = (
         [f"{field_book.n_skipped} blocks are neither a station nor a measurement and are not used"]
@@ -131,7 +131,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     return field_book.make_recording("a GSI file", *notes)
 
 
-def _blocks(lines: Sequence[str], path: Path) -> Iterator[_GsiBlock]:
+def _measurement_blocks(lines: Sequence[str], path: Path) -> Iterator[_GsiBlock]:
     """Iterator over the measurement blocks in the lines that are not blank.
 
     It yields one block at a time, because a block takes ten times the memory of its line.

@@ -114,7 +114,7 @@ def _parse_pointing(
         azimuth,
         elevation,
         _seconds_of_stamp(reading.attribute("time")),
-        _sigmas(measurements),
+        _sigmas_by_column(measurements),
         source=f"{node.file.name}, line {node.line}",
     )
 
@@ -140,7 +140,7 @@ def _polar_reading(values_by_observable: dict[str, float]) -> tuple[float, float
     )
 
 
-def _sigmas(nodes: dict[str, XmlNode]) -> dict[str, float]:
+def _sigmas_by_column(nodes: dict[str, XmlNode]) -> dict[str, float]:
     """Standard deviations in the units of the recording, by column, from the elements of measured quantities."""
     sigmas = {
         name: nodes[name].read_number("sigma", 0.0, limit=1e6) for name in SIGMA_COLUMN_BY_MEASUREMENT if name in nodes

@@ -122,7 +122,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     pose_by_index = {i: pose for i, name in enumerate(ordered_names) if (pose := poses[name]) is not None}
     meaning, readings = interpret_readings(table, pose_by_index, hints, path)
     table.notes += _prefix_ambiguous_points(table, group_names, readings, poses)
-    recording = assemble_recording(table, meaning, readings, _setup(blocks, names, path), hints, path)
+    recording = assemble_recording(table, meaning, readings, _setup_from_poses(blocks, names, path), hints, path)
     return recording.replace(
         labels={**recording.labels, "group": tuple(group_names)}, notes=(*recording.notes, *report_notes)
     )
@@ -309,7 +309,7 @@ def _new_names_by_group(name: str, groups: dict[str, list[tuple[str, Floats]]]) 
     }
 
 
-def _setup(blocks: Sequence[_SetupSection], names: Sequence[str], file: Path) -> Setup:
+def _setup_from_poses(blocks: Sequence[_SetupSection], names: Sequence[str], file: Path) -> Setup:
     """Set-up with the poses of the report as approximate poses, and one instrument for each model."""
     stations = {}
     for name, block in zip(names, blocks, strict=True):

@@ -1,4 +1,4 @@
-"""Parsers for the text of one cell: numbers, angles in degrees, minutes and seconds, faces, dates and times."""
+"""Parsers for the text of one cell: numbers, angles with units, faces, dates and times."""
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -12,6 +12,7 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
 from ltsim.recordings.files import MAX_NUMBER_TEXT_LENGTH, NUMBER_PATTERN, is_number
+from ltsim.recordings.spreadsheets.angle_cells import MAX_VALUE_TEXT_LENGTH, parse_sexagesimal
 
 FACE_WORDS = (
     "1 1.0 i f1 face1 facei lage1 lagei 1st f front direct d l left links cl a",
@@ -26,26 +27,6 @@ ValueType = TypeVar("ValueType")
 """Type of a parsed cell."""
 DAY_DURATION = timedelta(days=1)
 """Duration of a day."""
-MAX_VALUE_TEXT_LENGTH = 60
-"""Largest number of characters of a cell that is tested as a number or an angle."""
-_DEGREES_PATTERN = r"°|º|˚|\^|\*|deg|d"
-"""Pattern of a symbol for degrees."""
-_MINUTES_PATTERN = r"'|′|’|‘|´|`|ʹ|min|m"
-"""Pattern of a symbol for minutes of arc."""
-_SECONDS_PATTERN = rf"\"|″|”|“|ʺ|(?:{_MINUTES_PATTERN})(?:{_MINUTES_PATTERN})|sec|s"
-"""Pattern of a symbol for seconds of arc."""
-_ANGLE_SEPARATOR_PATTERN = r":|-|\s"
-"""Pattern of a separator between degrees, minutes and seconds without symbols."""
-_SEXAGESIMAL_PART_PATTERN = r"\d{1,2}(?:[.,]\d+)?"
-"""Pattern of a number of minutes or seconds, with or without decimals."""
-_SEXAGESIMAL_PATTERN = re.compile(
-    rf"([+-]?)\s*(\d{{1,3}})\s*(?:{_DEGREES_PATTERN}|{_ANGLE_SEPARATOR_PATTERN})\s*(\d{{1,2}})\s*(?:{_MINUTES_PATTERN}|{_ANGLE_SEPARATOR_PATTERN})\s*({_SEXAGESIMAL_PART_PATTERN})\s*(?:{_SECONDS_PATTERN})?"
-)
-"""Pattern of degrees, minutes and seconds, with symbols or separators."""
-_DEGREES_AND_MINUTES_PATTERN = re.compile(
-    rf"([+-]?)\s*(\d{{1,3}})\s*(?:{_DEGREES_PATTERN})\s*({_SEXAGESIMAL_PART_PATTERN})\s*(?:{_MINUTES_PATTERN})()"
-)
-"""Pattern of degrees and minutes, each with its symbol."""
 _CENTESIMAL_PATTERN = re.compile(
     r"([+-]?)\s*(\d{1,3})\s*g\s*(\d{1,2})\s*c\s*(\d{1,2}(?:[.,]\d+)?)\s*(?:cc)?", re.IGNORECASE
 )
@@ -60,8 +41,6 @@ _NUMBER_WITH_UNIT_PATTERN = re.compile(
     rf"([+-]?\d[\d.,]*)\s*({'|'.join(sorted(UNIT_BY_SYMBOL, key=len, reverse=True))})", re.IGNORECASE
 )
 """Pattern of a number followed by a symbol in `UNIT_BY_SYMBOL`."""
-_PACKED_DEGREES_PATTERN = re.compile(r"([+-]?)(\d{1,3})(?:[.,](\d*))?")
-"""Pattern of degrees whose decimals contain minutes and seconds, such as 33.120747."""
 _NUMBER_CHARACTERS_PATTERN = re.compile(r"[0-9.+eE-]*")
 """Pattern of texts that contain only characters of decimal numbers."""
 _TIME_OF_DAY_PATTERN = re.compile(r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d{1,9}))?)?(?:\s*([AaPp])\.?[Mm]\.?)?")
@@ -101,6 +80,10 @@ _DATE_PATTERN = re.compile(r"(\d{1,4})([-/.])(\d{1,2})\2(\d{1,4})")
 """Pattern of a date of three numbers with the same separator twice."""
 
 
+_POINT_GROUPS_PATTERN = re.compile(r"[+-]?\d+(?:\.\d{3})+,.*", re.ASCII)
+"""Pattern of a number with decimal comma, and with points between groups of three digits."""
+
+
 def python_number_text(text: str) -> str:
     """Number in Python's notation, from a text with decimal comma or point and possibly a degree symbol."""
     text = text.strip().removesuffix("°").replace("\u2212", "-").replace("\u00a0", "").strip()
@@ -108,6 +91,8 @@ def python_number_text(text: str) -> str:
     if comma < 0:
         return text
     thousands_separator = "." if comma > point else ","
+    if point >= 0 and comma > point and not _POINT_GROUPS_PATTERN.fullmatch(text):
+        return text
     return text.replace(thousands_separator, "").replace(",", ".") if point >= 0 else text.replace(",", ".", 1)
 
 
@@ -146,9 +131,14 @@ def is_numeric(text: str) -> bool:
     return len(text) <= MAX_VALUE_TEXT_LENGTH and (
         is_number(text)
         or is_number(python_number_text(text))
-        or _parse_sexagesimal(text) is not None
+        or parse_sexagesimal(text) is not None
         or split_unit_symbol(text) is not None
     )
+
+
+def is_number_or_angle_with_point(text: str) -> bool:
+    """True if the text of a cell is a number without comma, or an angle in degrees, minutes and seconds."""
+    return is_number(text) or (len(text) <= MAX_VALUE_TEXT_LENGTH and parse_sexagesimal(text) is not None)
 
 
 def split_unit_symbol(text: str) -> tuple[str, str] | None:
@@ -179,7 +169,7 @@ def split_common_unit(texts: Sequence[str]) -> tuple[Sequence[str], str]:
 
 def is_sexagesimal(text: str) -> bool:
     """True if a cell is an angle in degrees, minutes and seconds, not a plain number."""
-    return not is_number(python_number_text(text)) and _parse_sexagesimal(text) is not None
+    return not is_number(python_number_text(text)) and parse_sexagesimal(text) is not None
 
 
 def parse_number(text: str, thousands_separator: str = "") -> Decimal | None:
@@ -224,7 +214,7 @@ def parse_number_or_angle(text: str, thousands_separator: str = "") -> Decimal |
     `thousands_separator` is the separator used in the sheet, '' for none.
     """
     plain_number = parse_number(text, thousands_separator)
-    return _parse_sexagesimal(text) if plain_number is None else plain_number
+    return parse_sexagesimal(text) if plain_number is None else plain_number
 
 
 def parse_number_or_angle_unless_time(text: str, thousands_separator: str = "") -> Decimal | None:
@@ -233,37 +223,6 @@ def parse_number_or_angle_unless_time(text: str, thousands_separator: str = "") 
     `thousands_separator` is the separator used in the sheet, '' for none.
     """
     return None if not is_number(text) and is_date_or_time(text) else parse_number_or_angle(text, thousands_separator)
-
-
-def parse_packed_degrees(text: str) -> Decimal | None:
-    """Degrees from a cell whose decimals contain minutes and seconds: 33.120747 is 33° 12' 07.47".
-
-    Degrees, minutes and seconds with symbols are accepted too. None for any other cell.
-    """
-    match = _PACKED_DEGREES_PATTERN.fullmatch(text.strip()) if len(text) <= MAX_VALUE_TEXT_LENGTH else None
-    if match is None:
-        return _parse_sexagesimal(text)
-    sign, degrees, rest = match.groups(default="")
-    digits = rest.ljust(4, "0")
-    return _degrees_from_parts(sign, degrees, digits[:2], f"{digits[2:4]}.{digits[4:] or 0}")
-
-
-def _parse_sexagesimal(text: str) -> Decimal | None:
-    """Degrees from a cell with degrees, minutes and possibly seconds; None for any other cell."""
-    if len(text) > MAX_VALUE_TEXT_LENGTH:
-        return None
-    text = text.strip().replace("\u2212", "-").replace("\u00a0", " ")
-    match = _SEXAGESIMAL_PATTERN.fullmatch(text) or _DEGREES_AND_MINUTES_PATTERN.fullmatch(text)
-    return None if match is None else _degrees_from_parts(*(part.replace(",", ".") for part in match.groups()))
-
-
-def _degrees_from_parts(sign: str, degrees: str, minutes: str, seconds: str) -> Decimal | None:
-    """Degrees from texts of degrees, minutes and seconds; None for minutes of 60 or more, or seconds above 60."""
-    minutes_and_seconds = Decimal(minutes), Decimal(seconds or 0)
-    if minutes_and_seconds[0] >= 60 or minutes_and_seconds[1] > 60:
-        return None
-    magnitude = Decimal(degrees) + (minutes_and_seconds[0] * 60 + minutes_and_seconds[1]) / 3600
-    return -magnitude if sign == "-" else magnitude
 
 
 def parse_face(text: str) -> int | None:
@@ -278,12 +237,13 @@ def parse_times(texts: Sequence[str], date_order: str | None = None) -> tuple[li
     text is not a date or time, and (None, "?") if the order of day and month is ambiguous.
     """
     texts = [_without_apostrophe(text) for text in texts]
-    clocks = _convert_all(_parse_time_of_day, texts)
+    clocks = _convert_texts(_parse_time_of_day, texts)
     if clocks is not None:
         return _seconds_since_first([datetime.min + clock for clock in _unwrap_midnight(clocks)], has_date=False)
     orders = _DATE_ORDERS_12_HOURS if texts and texts[0][-2:].casefold() in ("am", "pm") else _DATE_ORDERS
     stamps_by_order = (
-        _convert_all(partial(_parse_date_and_time, letters=letters, date_order=date_order), texts) for letters in orders
+        _convert_texts(partial(_parse_date_and_time, letters=letters, date_order=date_order), texts)
+        for letters in orders
     )
     readings = [_seconds_since_first(stamps, has_date=True) for stamps in stamps_by_order if stamps is not None]
     if any(seconds != readings[0][0] for seconds, _ in readings):
@@ -291,7 +251,7 @@ def parse_times(texts: Sequence[str], date_order: str | None = None) -> tuple[li
     return readings[0] if readings else (None, "")
 
 
-def _convert_all(convert: Callable[[str], ValueType | None], texts: Sequence[str]) -> list[ValueType] | None:
+def _convert_texts(convert: Callable[[str], ValueType | None], texts: Sequence[str]) -> list[ValueType] | None:
     """Results of `convert` for all texts; None if one of them is None."""
     converted = []
     for text in texts:

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 from ltsim.core.units import ANGLE_UNITS, LENGTH_UNITS, SMALL_ANGLE_UNITS, UNIT_BY_SPELLING
-from ltsim.recordings.files import SourceLocation, safe_excerpt
+from ltsim.recordings.spreadsheets.angle_cells import joined_angle_text
+from ltsim.recordings.spreadsheets.coordinate_titles import axes_of_titles_with_common_word
 from ltsim.recordings.spreadsheets.title_words import (
     COMMON_SIGMA_ROLE,
     EAST_ASIAN_LETTERS,
@@ -83,8 +84,6 @@ _SIGMA_TITLE_PATTERN = (
     re.compile(r"([a-z]+?)(?:error|err|sigma|stddev|std|sd)"),
 )
 """Patterns of titles of standard deviations; group 1 is the title of the reading or coordinate."""
-ANGLE_SYMBOLS = ("°", "'", '"')
-"""Symbols of degrees, minutes and seconds, used to join cells of separate columns to one angle."""
 ANGLE_PART_UNITS = ("min", "sec", "'", '"', "m", "s")
 """Units in the titles of separate columns of minutes or seconds of an angle."""
 ANGLE_PART_ROLE = "part"
@@ -128,9 +127,7 @@ class TableColumn:
         if not self.angle_part_positions:
             return table[self.position]
         cell_rows = zip(*(table[place] for place in (self.position, *self.angle_part_positions)), strict=True)
-        return [
-            " ".join(cell + sign for cell, sign in zip(row, ANGLE_SYMBOLS, strict=False) if cell) for row in cell_rows
-        ]
+        return list(map(joined_angle_text, cell_rows))
 
     @property
     def is_additional(self) -> bool:
@@ -152,6 +149,9 @@ def _compute_header_columns(fields: tuple[str, ...]) -> list[TableColumn]:
     """
     candidates = _join_angle_parts([_column_from_title(place, title) for place, title in enumerate(fields)])
     roles = {c.role for c in candidates}
+    if not roles & {*READING_ROLES}:
+        axes = _axes_by_position(fields)
+        candidates = [replace(c, role=axes.get(c.position, c.role)) for c in candidates]
     if roles & {*SIGMA_ROLES.values()} and sum(c.role == "distance" for c in candidates) > 1:
         candidates = [_with_distance_sigma_role(c) for c in candidates]
     if _count_reading_kinds(candidates) == 2 and not roles & {
@@ -279,8 +279,14 @@ def _count_reading_kinds(columns: Sequence[TableColumn]) -> int:
 
 
 def count_recognised_titles(fields: Sequence[str]) -> int:
-    """Number of `fields` that are known titles of columns."""
-    return sum(map(_is_recognised_title, fields))
+    """Number of `fields` that are known titles of columns, alone or together with two others (`Tracker X`)."""
+    return max(sum(map(_is_recognised_title, fields)), len(_axes_by_position(fields)))
+
+
+def _axes_by_position(fields: Sequence[str]) -> dict[int, str]:
+    """Axis, by position, of the three `fields` that are a common word with an axis and possibly a unit of lengths."""
+    names = [name if unit in ("", *LENGTH_UNITS) else "" for name, unit in map(title_words_and_unit, fields)]
+    return axes_of_titles_with_common_word(names)
 
 
 @lru_cache(maxsize=65_536)
@@ -299,29 +305,6 @@ def is_header(columns: Sequence[TableColumn], *, allows_unnamed: bool = False) -
     has_named_directions = {"station", "target"} <= roles and not roles.isdisjoint(HORIZONTAL_ROLES)
     has_coordinates = has_named_coordinates(columns) or (allows_unnamed and {*COORDINATE_ROLES} <= roles)
     return has_named_directions or has_coordinates or _count_reading_kinds(columns) > 1
-
-
-def unknown_unit_sentence(titles: Sequence[str]) -> str:
-    """Sentence for the user on the first title of a reading with an unknown unit; '' if there is none."""
-    for title in titles:
-        name, unit = title_words_and_unit(title)
-        units = UNITS_BY_ROLE.get(title_role(name), ())
-        is_polar = title_role(name) in (*HORIZONTAL_ROLES, *VERTICAL_ROLES, *DISTANCE_ROLES)
-        if is_polar and unit and unit not in (*units, *ANGLE_PART_UNITS, *LENGTH_UNITS):
-            wrong = f"column '{safe_excerpt(title)}' has the unknown unit '{safe_excerpt(unit)}'"
-            return f"{wrong}; convert it to one of {', '.join(units)}"
-    return ""
-
-
-def require_readable_units(columns: Sequence[TableColumn], location: SourceLocation) -> None:
-    """Check that no kind of reading is missing because its column has an unknown unit; raises RecordError."""
-    kinds = {reading_kind(column.role) for column in columns}
-    unknown_titles = [c.title for c in columns if not c.role]
-    missing = [
-        title for title in unknown_titles if reading_kind(title_role(title_words_and_unit(title)[0])) not in kinds
-    ]
-    if sentence := unknown_unit_sentence(missing):
-        raise location.error(sentence)
 
 
 def has_named_coordinates(columns: Sequence[TableColumn]) -> bool:

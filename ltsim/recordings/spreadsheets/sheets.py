@@ -25,8 +25,12 @@ from ltsim.core.limits import (
     MAX_WORKBOOK_CELLS,
     MAX_WORKBOOK_SHEETS,
 )
-from ltsim.recordings.files import SourceLocation, is_number, read_bytes, read_lines, safe_excerpt
-from ltsim.recordings.spreadsheets.cells import detect_thousands_separator, is_numeric
+from ltsim.recordings.files import SourceLocation, read_bytes, read_lines, safe_excerpt
+from ltsim.recordings.spreadsheets.cells import (
+    detect_thousands_separator,
+    is_number_or_angle_with_point,
+    is_numeric,
+)
 from ltsim.recordings.spreadsheets.workbook_archive import checked_workbook_archive
 
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc", ".xlsx")
@@ -243,7 +247,7 @@ def _detect_separator(lines: Sequence[str]) -> str:
 def _max_numeric_field_count(lines: Sequence[str], separator: str, min_columns: int) -> int:
     """Largest total number of numeric fields in lines that have equally many fields, at least `min_columns`."""
     wide_rows = [fields for fields in (_split_fields(line, separator) for line in lines) if len(fields) >= min_columns]
-    is_number_cell = is_number if separator == "," else is_numeric
+    is_number_cell = is_number_or_angle_with_point if separator == "," else is_numeric
     counts: Counter[int] = Counter()
     for fields in wide_rows:
         counts[len(fields)] += sum(map(is_number_cell, fields))

@@ -84,13 +84,15 @@ FOREIGN_TITLES_BY_LANGUAGE = {
         "estaciondelinstrumento posicioninstrumento posiciondelinstrumento pontoestacao pontodeestacao",
         "round": "ronda vuelta epoca",
         "target": "punto puntovisado puntoobservado objetivo ponto pontovisado pontoobservado alvo nombre nome",
-        "horizontal": "angulohorizontal angulohz lecturahorizontal lecturahz direccionhorizontal leiturahorizontal "
+        "horizontal": "anghor anghoriz anghorizontal anghz angulohor angulohorizontal angulohz "
+        "lecturahorizontal lecturahz direccionhorizontal leiturahorizontal "
         "direcaohorizontal",
         "azimuth": "acimut azimute",
-        "vertical": "angulovertical lecturavertical leituravertical",
-        "zenith": "angulocenital distanciacenital cenital angulozenital distanciazenital",
+        "vertical": "angvert angvertical angulovert angulovertical lecturavertical leituravertical",
+        "zenith": "angcenital angzenital angulocenital distanciacenital cenital angulozenital distanciazenital",
         "elevation": "angulodeelevacion anguloelevacion angulodealtura elevacion angulodeelevacao elevacao",
-        "distance": "distanciageometrica distanciainclinada distancia distanciaespacial distinclinada",
+        "distance": "distanciageometrica distanciainclinada distancia distanciaespacial distinclinada "
+        "distgeom distgeometrica",
         "flat": "distanciahorizontal distanciareducida distanciareduzida",
         "date": "fecha",
         "time": "hora horario",

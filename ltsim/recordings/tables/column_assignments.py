@@ -5,9 +5,9 @@ from dataclasses import replace
 
 from ltsim.core.errors import RecordError
 from ltsim.recordings.files import safe_excerpt
+from ltsim.recordings.spreadsheets.angle_cells import ANGLE_SYMBOLS
 from ltsim.recordings.spreadsheets.header import (
     ANGLE_PART_ROLE,
-    ANGLE_SYMBOLS,
     SIGMA_ROLES,
     UNITS_BY_ROLE,
     TableColumn,

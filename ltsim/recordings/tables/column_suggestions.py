@@ -6,17 +6,22 @@ from functools import lru_cache
 from itertools import accumulate, pairwise, takewhile
 
 from ltsim.core.units import LENGTH_UNITS
-from ltsim.recordings.conventions import FULL_CIRCLE_BY_UNIT, AngleUnit
-from ltsim.recordings.files import safe_excerpt
+from ltsim.recordings.conventions import FULL_CIRCLE_BY_UNIT
+from ltsim.recordings.files import is_number, safe_excerpt
 from ltsim.recordings.spreadsheets import cells
+from ltsim.recordings.spreadsheets.angle_cells import ANGLE_SYMBOLS
 from ltsim.recordings.spreadsheets.header import (
-    ANGLE_SYMBOLS,
     COORDINATE_ROLES,
+    header_columns,
     normalised_title,
+    title_role,
     title_words_and_unit,
-    unknown_unit_sentence,
 )
 from ltsim.recordings.spreadsheets.sheets import SheetRow, TableSheet
+from ltsim.recordings.spreadsheets.title_units import unknown_unit_sentence
+from ltsim.recordings.tables.packed_angles import are_packed_angles
+from ltsim.recordings.tables.pointing_table import to_digit_texts
+from ltsim.recordings.tables.unnamed_targets import MOVING_TARGET_TEXT, STATION_OF_POSITIONS_ADVICE
 from ltsim.recordings.transcription_errors import MAX_ANGLE_READ_AS_RADIANS, MIN_LONGEST_DISTANCE_MM
 
 MAX_SAMPLE_ROWS = 400
@@ -29,6 +34,8 @@ MAX_LENGTH_READ_AS_METRES = MIN_LONGEST_DISTANCE_MM
 """Number below which the largest distance or coordinate is probably in metres, and otherwise in millimetres."""
 CellsByColumn = Sequence[tuple[str, ...]]
 """Cells of a table, column by column."""
+MAX_ANGLE_CHANGE_OF_REPEATS = Decimal("0.05")
+"""Largest change of an angle, in the unit of the table, between repeated pointings to a target from one station."""
 COLUMNS_TEMPLATE = (
     '--columns "station=HEADER,target=HEADER,azimuth=HEADER[deg],elevation=HEADER[deg],distance=HEADER[mm]"'
 )
@@ -47,6 +54,11 @@ def unrecognised_header_sentence(sheet: TableSheet, is_readable_with: Callable[[
         return "contains no row with two or more numbers, and therefore no pointing"
     if header_row is not None and (unit_fault := unknown_unit_sentence(header_row.fields)):
         return unit_fault
+    roles = {column.role for column in header_columns(header_row.fields)} if header_row is not None else set[str]()
+    if {*COORDINATE_ROLES} <= roles and roles.isdisjoint(("station", "target")):
+        n_positions = sum(not row.is_comment and row.n_numeric_fields > 2 for row in sheet.rows)
+        positions = f"this is a table of {n_positions} positions without point names, {MOVING_TARGET_TEXT}"
+        return f"{positions}; {STATION_OF_POSITIONS_ADVICE}"
     n_columns = max(map(len, data_rows))
     has_header = header_row is not None and len(header_row.fields) == n_columns
     header_fields = header_row.fields if header_row is not None and has_header else ("",) * n_columns
@@ -98,18 +110,12 @@ def _likely_assignments(titles: Sequence[str], first_rows: Sequence[Sequence[str
         for i in columns_without_time
         if i not in (*text_columns, *face_columns) and all(map(cells.is_numeric, columns[i]))
     ]
-    if not text_columns:  # points that have number_columns for name_columns come first
-        text_columns = [i for i in number_columns[:2] if all(cell.isdigit() for cell in columns[i])][
-            : max(len(number_columns) - 3, 0)
-        ]
-    text_columns.sort(key=lambda i: len({*columns[i]}))
-    name_columns = text_columns[-2:] if len(text_columns) > 1 else text_columns
-    names_and_faces = [
-        f"{role}={titles[i]}"
-        for role, i in zip(("station", "target")[-len(name_columns) :], name_columns, strict=False)
-    ]
-    names_and_faces += [f"face={titles[i]}" for i in face_columns[:1]]
     angles = _angle_columns(number_columns, columns)
+    name_columns = _name_columns(text_columns, number_columns, angles, columns, titles)
+    names_and_faces = [f"{role}={titles[i]}" for role, i in name_columns.items()]
+    names_and_faces += [f"face={titles[i]}" for i in face_columns[:1]]
+    number_columns = [i for i in number_columns if i not in name_columns.values()]
+    angles = [angle for angle in angles if not {*angle} & {*name_columns.values()}]
     polar = [
         [
             f"{circle}={_joined_titles(first, titles)}[{unit}]",
@@ -135,14 +141,91 @@ def _likely_assignments(titles: Sequence[str], first_rows: Sequence[Sequence[str
             "flat", [i for i in number_columns if i > first[-1]], titles, columns, first
         )
     ]
-    axes = [i for i in number_columns if _has_fraction(columns[i]) and list(columns[i]) != sorted(columns[i])]
-    axes = axes[:3] if len(axes) >= len(COORDINATE_ROLES) else number_columns[:3]
+    axes = _axis_columns(number_columns, columns)
     unit = "m" if max((_largest_magnitude(columns[i]) for i in axes), default=0) < MAX_LENGTH_READ_AS_METRES else "mm"
     coordinate_readings = [f"{axis}={titles[i]}[{unit}]" for axis, i in zip(COORDINATE_ROLES, axes, strict=False)]
     is_polar = any(_has_sexagesimal_cells(columns[i]) for i in number_columns)
     is_complete = len(coordinate_readings) == len(COORDINATE_ROLES) and not is_polar
     readings_sets = [*polar, *([coordinate_readings] if is_complete else [])]
     return [",".join([*names_and_faces, *readings]) for readings in readings_sets]
+
+
+def _name_columns(
+    text_columns: Sequence[int],
+    number_columns: Sequence[int],
+    angles: Sequence[tuple[int, ...]],
+    columns: CellsByColumn,
+    titles: Sequence[str],
+) -> dict[str, int]:
+    """Positions of the columns that may name the stations and the targets, by role; a missing one has no entry.
+
+    Known titles decide. Otherwise columns of texts are names, and if there is only one or none, also columns of whole
+    numbers before the angles `angles` that do not count the rows. A column with more different names names the targets.
+    """
+    roles_of_titles = [title_role(title_words_and_unit(title)[0]) for title in titles]
+    named_columns = {
+        role: i
+        for i, role in reversed([*enumerate(roles_of_titles)])
+        if role in ("station", "target") and any(columns[i]) and not any(i in angle for angle in angles)
+    }
+    if len(named_columns) == len(("station", "target")):
+        return {role: named_columns[role] for role in ("station", "target")}
+    names = [i for i in text_columns if not roles_of_titles[i] or i in named_columns.values()]
+    names.sort(key=_n_distinct(columns))
+    end_of_names = min((angle[0] for angle in angles), default=max(len(columns) - len(COORDINATE_ROLES), 0))
+    numbers = [
+        i
+        for i in number_columns
+        if i < end_of_names and not roles_of_titles[i] and all(cell.isdigit() for cell in columns[i])
+    ]
+    counters = [i for i in numbers if _counts_rows(columns[i])]
+    if len(names) == 1:
+        names += [i for i in numbers if i not in counters and not _repeats_angles(names[0], angles, columns)][:1]
+    elif not names:
+        names = (numbers if len(numbers) < 3 else [i for i in numbers if i not in counters])[:2]
+    chosen = sorted(names[-2:], key=_n_distinct(columns))
+    return dict(zip(("station", "target")[-len(chosen) :], chosen, strict=False)) if chosen else {}
+
+
+def _n_distinct(columns: CellsByColumn) -> Callable[[int], int]:
+    """Function that returns the number of different cells of a column from its position."""
+    return lambda position: len({*columns[position]})
+
+
+def _counts_rows(column: tuple[str, ...]) -> bool:
+    """True if the whole numbers in a column increase by one from row to row."""
+    first = int(column[0])
+    return list(map(int, column)) == list(range(first, first + len(column)))
+
+
+def _repeats_angles(names: int, angles: Sequence[tuple[int, ...]], columns: CellsByColumn) -> bool:
+    """True if most rows with one name have the same angles, as in rounds from one station.
+
+    `names` is the position of the column of names.
+    """
+    first_cells: dict[str, tuple[Decimal, ...]] = {}
+    n_same = n_different = 0
+    numbers_by_angle = [_column_numbers(columns[angle[0]]) for angle in angles]
+    if any(len(values) != len(columns[names]) for values in numbers_by_angle):
+        return False
+    for name, *values in zip(columns[names], *numbers_by_angle, strict=True):
+        first = first_cells.setdefault(name, tuple(values))
+        is_same = all(abs(a - b) < MAX_ANGLE_CHANGE_OF_REPEATS for a, b in zip(values, first, strict=True))
+        n_same, n_different = n_same + is_same, n_different + (not is_same)
+    return n_same > len(first_cells) and n_same > n_different
+
+
+def _axis_columns(number_columns: Sequence[int], columns: CellsByColumn) -> list[int]:
+    """Positions of the three columns of numbers that may be coordinates.
+
+    They are the only three columns with fractions and a number beyond the full circle in gon, which angles of a joint
+    or of a rotation do not have; otherwise the first three columns with fractions that are not in ascending order.
+    """
+    fractions = [i for i in number_columns if _has_fraction(columns[i]) and list(columns[i]) != sorted(columns[i])]
+    large = [i for i in fractions if _largest_magnitude(columns[i]) > FULL_CIRCLE_BY_UNIT["gon"]]
+    if len(large) == len(COORDINATE_ROLES):
+        return large
+    return (fractions if len(fractions) >= len(COORDINATE_ROLES) else [*number_columns])[: len(COORDINATE_ROLES)]
 
 
 def _angle_columns(number_columns: Sequence[int], columns: CellsByColumn) -> list[tuple[int, ...]]:
@@ -185,7 +268,9 @@ def _possible_conventions(
     vertical_angles = _column_numbers(columns[vertical[0]])
     max_value = max(_largest_magnitude(columns[horizontal[0]]), _largest_magnitude(columns[vertical[0]]))
     if _is_sexagesimal(horizontal, columns):
-        units: tuple[AngleUnit, ...] = ("deg",)
+        units: tuple[str, ...] = ("deg",)
+    elif _are_packed(columns[horizontal[0]], columns[vertical[0]]):
+        units = ("dms",)
     elif max_value < MAX_ANGLE_READ_AS_RADIANS:
         units = ("rad",)
     else:
@@ -193,7 +278,13 @@ def _possible_conventions(
     lowest = min(vertical_angles, default=Decimal(0))
     is_zenith = "zenit" in normalised_title(titles[vertical[0]])
     kind = "elevation" if lowest < 0 else "zenith" if is_zenith else "vertical"
-    return [(unit, kind) for unit in units if lowest >= -FULL_CIRCLE_BY_UNIT[unit] / 4]
+    return [(unit, kind) for unit in units if lowest >= -FULL_CIRCLE_BY_UNIT["deg" if unit == "dms" else unit] / 4]
+
+
+def _are_packed(*columns: tuple[str, ...]) -> bool:
+    """True if the decimals of the angles in all columns can be minutes and seconds below 60."""
+    texts = [cells.python_number_text(cell) for column in columns for cell in column if cell]
+    return all(map(is_number, texts)) and are_packed_angles(to_digit_texts(texts))
 
 
 def _distance_assignments(

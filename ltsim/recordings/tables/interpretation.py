@@ -305,7 +305,7 @@ def _azimuth_sense(
     if column.role == "horizontal":
         circle = f"'{column.title}' is interpreted as a horizontal circle, clockwise"
         return "clockwise", [
-            f"{circle}, which this file alone cannot show (otherwise give --hint azimuth=counter-clockwise)"
+            f"{circle}, although the file does not show the sense (otherwise give --hint azimuth=counter-clockwise)"
         ]
     if interpretation.vertical_kind == "elevation":
         spherical = (

@@ -88,7 +88,8 @@ def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Re
     With `positional`, a table without header may also have lines with names and three numbers. Raises RecordError.
     """
     pointing_table = read_pointing_table(read_sheets(path), hints, path, positional=positional)
-    table = with_placeholder_target_name(with_unpacked_angles(with_time_column(pointing_table), hints), hints, path)
+    table = with_unpacked_angles(with_time_column(pointing_table), hints, path)
+    table = with_placeholder_target_name(table, hints, path)
     table.pointings.target, name_notes = common_target_names(table.pointings)
     table.notes += name_notes
     table.mark_by_setup = marks_with_other_spelling(table.pointings.station, table.pointings.target)

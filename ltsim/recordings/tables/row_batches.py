@@ -10,6 +10,7 @@ import numpy as np
 
 from ltsim.recordings.files import MAX_CELL_TEXT_LENGTH, SourceLocation, safe_excerpt
 from ltsim.recordings.spreadsheets import cells
+from ltsim.recordings.spreadsheets.angle_cells import parse_packed_degrees
 from ltsim.recordings.spreadsheets.header import (
     DISTANCE_ROLES,
     HORIZONTAL_ROLES,
@@ -91,18 +92,22 @@ class RowBatchReader:
             for name, block in zip(cells_by_role.get("station", empty_cells), row_batch.station, strict=True)
         ]
         self.lacks_station_names |= "" in stations
-        faces = self._faces(cells_by_role["face"], row_batch.line) if "face" in cells_by_role else [0] * len(row_batch)
+        faces = [0] * len(row_batch)
+        if "face" in cells_by_role:
+            faces = self._parse_faces(cells_by_role["face"], row_batch.line)
         digit_texts_by_role: dict[str, DigitTexts] = {}
         for c in columns:
             if c.role in READING_ROLES:
-                digits = self._numbers(c.cell_texts(table), c, row_batch.line)
+                digits = self._parse_numbers(c.cell_texts(table), c, row_batch.line)
                 filled = digits != b""
                 if filled.any():
                     earlier_digits = digit_texts_by_role.get(c.role)
                     digit_texts_by_role[c.role] = (
                         digits if earlier_digits is None else np.where(filled, digits, earlier_digits)
                     )
-        additional_cells = {c.title: self._texts(table[c.position], row_batch.line) for c in columns if c.is_additional}
+        additional_cells = {
+            c.title: self._checked_texts(table[c.position], row_batch.line) for c in columns if c.is_additional
+        }
         return UnconvertedPointings(
             [self.sheet.file] * len(row_batch),
             row_batch.line,
@@ -116,7 +121,7 @@ class RowBatchReader:
             additional_cells,
         )
 
-    def _faces(self, texts: Sequence[str], lines: Sequence[int]) -> list[int]:
+    def _parse_faces(self, texts: Sequence[str], lines: Sequence[int]) -> list[int]:
         """Face (1 or 2) in each cell; 0 for an empty cell. Raises RecordError."""
         faces = {text: cells.parse_face(text) if text else 0 for text in {*texts}}
         for text, line in zip(texts, lines, strict=True) if None in faces.values() else ():
@@ -124,7 +129,7 @@ class RowBatchReader:
                 raise self._source_location(line).error(f"found '{safe_excerpt(text)}', expected 1 or 2", "face")
         return [faces[text] or 0 for text in texts]
 
-    def _numbers(self, texts: Sequence[str], column: TableColumn, lines: Sequence[int]) -> DigitTexts:
+    def _parse_numbers(self, texts: Sequence[str], column: TableColumn, lines: Sequence[int]) -> DigitTexts:
         """Numbers (n,) in n cells of a column of readings, as decimal digits; an empty text for a missing reading.
 
         Cells with thousands separators, units, or degrees with minutes and seconds are converted. `lines` are the line
@@ -150,16 +155,14 @@ class RowBatchReader:
             what = f"found '{safe_excerpt(texts[0])}' in {unit}, expected one unit in all cells"
             raise self._source_location(lines[0]).error(what, safe_excerpt(column.title))
         return to_digit_texts(
-            [self._number(text, column, line) if text else "" for text, line in zip(texts, lines, strict=True)]
+            [self._parse_number(text, column, line) if text else "" for text, line in zip(texts, lines, strict=True)]
         )
 
-    def _number(self, text: str, column: TableColumn, line: int) -> str:
+    def _parse_number(self, text: str, column: TableColumn, line: int) -> str:
         """Number in one cell, as text of its decimal digits; raises RecordError."""
         packed = column.unit == "dms"
         exact_value = (
-            cells.parse_packed_degrees(text)
-            if packed
-            else cells.parse_number_or_angle(text, self.sheet.thousands_separator)
+            parse_packed_degrees(text) if packed else cells.parse_number_or_angle(text, self.sheet.thousands_separator)
         )
         location = self._source_location(line)
         if packed and exact_value is None:
@@ -172,7 +175,7 @@ class RowBatchReader:
             raise location.error(what, safe_excerpt(column.title))
         return str(exact_value)
 
-    def _texts(self, texts: Sequence[str], lines: Sequence[int]) -> list[str]:
+    def _checked_texts(self, texts: Sequence[str], lines: Sequence[int]) -> list[str]:
         """Cells of an additional column, checked to be short texts; equal texts share memory. Raises RecordError."""
         distinct = dict.fromkeys(texts)
         joined_text = "".join(distinct)

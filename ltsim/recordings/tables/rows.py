@@ -18,12 +18,13 @@ from ltsim.recordings.spreadsheets.header import (
     has_named_coordinates,
     header_columns,
     is_header,
-    require_readable_units,
     title_role,
     title_words_and_unit,
 )
 from ltsim.recordings.spreadsheets.sheets import SheetRow, TableSheet
+from ltsim.recordings.spreadsheets.title_units import require_readable_units
 from ltsim.recordings.spreadsheets.title_words import SUMMARY_ROW_FIRST_WORDS
+from ltsim.recordings.tables.angle_part_columns import N_ROWS_TESTED_FOR_ANGLE_PARTS, with_untitled_angle_parts
 from ltsim.recordings.tables.blocks import StationContext
 from ltsim.recordings.tables.column_assignments import mapped_columns, parse_assignments
 from ltsim.recordings.tables.column_suggestions import unrecognised_header_sentence
@@ -180,7 +181,8 @@ class _SheetReader:
             measured = (reads_all and not row.is_comment) or self._is_measured(row)
             again = parse_header(row, self.hints, self.sheet.file) if not measured else None
             if again is not None:
-                self._start_header(again, row.line)
+                below = sheet_rows[i + 1 : i + 1 + N_ROWS_TESTED_FOR_ANGLE_PARTS]
+                self._start_header(again if self.hints.columns else with_untitled_angle_parts(again, below), row.line)
             elif row.is_comment or not measured:
                 self._process_line_without_pointing(row)
             elif i < last_index or not self.sheet.has_incomplete_end:

@@ -27,6 +27,12 @@ MIN_COINCIDENT_POSITIONS = 3
 """Smallest number of positions with several targets that a note reports."""
 MAX_COINCIDENT_NAMES_IN_NOTE = 4
 """Largest number of names of targets at one position in a note."""
+MOVING_TARGET_TEXT = "as a moving target gives (on a robot, a T-MAC)"
+"""Phrase on positions without point names."""
+STATION_OF_POSITIONS_ADVICE = (
+    "if one station measured them in its frame, name the station: --format table --hint station=NAME"
+)
+"""Advice on positions without the name of a station."""
 PLACEHOLDER_TARGET_NAME = "pose"
 """Temporary name of all targets of a table without point names, until their positions are computed and numbered."""
 

@@ -16,6 +16,7 @@ from ltsim.core.errors import InputError, LtsimError
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.planning.expected_precision import ExpectedPrecision
+from ltsim.planning.layout_rules import CoincidenceRule, broken_rules_text, sees_enough_targets
 from ltsim.planning.planner import layout_visibility
 from ltsim.planning.result import (
     PLAN_FILE_NAME,
@@ -25,13 +26,8 @@ from ltsim.planning.result import (
     with_cad_file_copies,
 )
 from ltsim.planning.search_inputs import plan_without_search
-from ltsim.planning.search_space import (
-    MAX_COINCIDENCE_DISTANCE,
-    MIN_VISIBLE_TARGETS_PER_STATION,
-    SearchSpace,
-    broken_rules_text,
-)
-from ltsim.planning.spec import PlanFile
+from ltsim.planning.search_space import SearchSpace
+from ltsim.planning.spec import MAX_STATIONS, MIN_STATIONS, PlanFile
 from ltsim.planning.survey import PlannedSurvey
 from ltsim.planning.tolerances import (
     PointTolerances,
@@ -56,10 +52,6 @@ from ltsim.simulation.scenario import Scenario, scenario_to_toml
 MAX_DRAWN_TRIANGLES = 20_000
 """Largest number of triangles of obstacles in the view from above; if there are more, the largest triangles are
 drawn."""
-MIN_LAYOUT_STATIONS = 2
-"""Smallest number of stations of a layout, the same as for a plan file."""
-MAX_LAYOUT_STATIONS = 40
-"""Largest number of stations of a layout in the browser."""
 STATION_NAME_PATTERN = r"\w[\w.\-]{0,39}"
 """Pattern of the permitted names of a station."""
 MAX_OFFERED_POSITIONS = 200
@@ -124,11 +116,11 @@ class MovableLayout:
                  "yaw_deg": round(float(yaw) / DEGREE % 360, 2)}
                 for name, place, yaw in stations
             ],
-            "places": np.round(self._offered_positions / MILLIMETRE, 1).tolist(),
+            "places": np.round(self._suggested_station_positions / MILLIMETRE, 1).tolist(),
         }  # fmt: skip
 
     @cached_property
-    def _offered_positions(self) -> Floats:
+    def _suggested_station_positions(self) -> Floats:
         """Positions (P, 3) [m] that the page offers for another station, at most `MAX_OFFERED_POSITIONS`.
 
         The P positions are points of a grid on the floor from which enough targets are visible.
@@ -138,11 +130,7 @@ class MovableLayout:
             tripod_grid_spacing(self.search_space.allowed_areas, search.grid_step_mm), search.height_count
         )
         places = places[:: max(1, -(-len(places) // MAX_OFFERED_POSITIONS))]
-        return (
-            places[self.search_space.is_visible(places).sum(axis=1) >= MIN_VISIBLE_TARGETS_PER_STATION]
-            if len(places)
-            else places
-        )
+        return places[sees_enough_targets(self.search_space.is_visible(places))] if len(places) else places
 
     def survey_with_stations(self, stations: Sequence[Mapping[str, Any]]) -> PlannedSurvey:
         """Survey with the given stations (mappings with `name`, `position_mm` and `yaw_deg`); raises InputError.
@@ -161,8 +149,8 @@ class MovableLayout:
             raise InputError(
                 f"coordinates and yaw of a station must be smaller than {MAX_COORDINATE_MM:g} mm and degrees"
             )
-        if not MIN_LAYOUT_STATIONS <= len(names) <= MAX_LAYOUT_STATIONS:
-            raise InputError(f"a layout has {MIN_LAYOUT_STATIONS} to {MAX_LAYOUT_STATIONS} stations, not {len(names)}")
+        if not MIN_STATIONS <= len(names) <= MAX_STATIONS:
+            raise InputError(f"a layout has {MIN_STATIONS} to {MAX_STATIONS} stations, not {len(names)}")
         if len({*names}) < len(names) or not all(re.fullmatch(STATION_NAME_PATTERN, name) for name in names):
             raise InputError("each station needs a different name of letters, digits, points and hyphens")
         old_names = survey.station_names
@@ -281,10 +269,7 @@ def _tolerance_entries(error_to_tolerance: float) -> dict[str, Any]:
 
 def _station_coincides_with_target(survey: PlannedSurvey) -> bool:
     """True if a station coincides with a target, so that no accuracy can be computed."""
-    return bool(
-        np.linalg.norm(survey.station_positions[:, None] - survey.target_points, axis=2).min()
-        < MAX_COINCIDENCE_DISTANCE
-    )
+    return bool(CoincidenceRule(survey.target_points).broken_rules(survey))
 
 
 def _obstacle_path(obstacles: Any) -> str:

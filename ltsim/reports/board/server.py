@@ -186,7 +186,7 @@ class _RequestHandler(BaseHTTPRequestHandler):
     """Queue of requests for the serving thread, each with the future of its response."""
     requests: PlannerRequests
     """Requests that are permitted, with their responses."""
-    server: _LimitedServer
+    server: _ConnectionLimitedServer
     allowed_hosts: frozenset[str]
     """Allowed values of the HTTP header Host, and of the header Origin after `http://`."""
     timeout = REQUEST_TIMEOUT_S
@@ -213,17 +213,17 @@ class _RequestHandler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """Send the page."""
-        self._send_response(self._refusal() or self._response_of_serving_thread(b""))
+        self._send_response(self._refusal_response() or self._response_of_serving_thread(b""))
 
     def do_POST(self) -> None:
         """Answer a request of the page."""
-        refusal = self._refusal()
+        refusal = self._refusal_response()
         body = b"" if refusal else self._read_body()
         self._send_response(
             refusal or (body if isinstance(body, HttpResponse) else self._response_of_serving_thread(body))
         )
 
-    def _refusal(self) -> HttpResponse | None:
+    def _refusal_response(self) -> HttpResponse | None:
         """Response that refuses a request of another page or program; None for a request of the page."""
         if not self.request_version.startswith("HTTP/1."):
             return HttpResponse(HTTPStatus.HTTP_VERSION_NOT_SUPPORTED)
@@ -274,7 +274,7 @@ class _RequestHandler(BaseHTTPRequestHandler):
         """Suppress the log of requests."""
 
 
-class _LimitedServer(ThreadingHTTPServer):
+class _ConnectionLimitedServer(ThreadingHTTPServer):
     """Server with a limited number of connections, which ignores broken connections.
 
     Silent or slow connections of another program do not keep the page from its server: a new connection replaces the
@@ -335,7 +335,7 @@ def serve_planner(requests: PlannerRequests, announce_address: Callable[[str], N
         "Handler", (_RequestHandler,), {"work_queue": work_queue, "requests": requests}
     )
     try:
-        server = _LimitedServer((LOOPBACK_ADDRESS, port), handler)
+        server = _ConnectionLimitedServer((LOOPBACK_ADDRESS, port), handler)
     except OSError as problem:
         raise InputError(f"--port {port} cannot be used ({problem.strerror}); omit it to use any free port") from None
     ports = (f":{server.server_port}", *([""] if server.server_port == HTTP_PORT else []))

@@ -12,6 +12,7 @@ import numpy as np
 from ltsim.adjustment.identification.recommendations import (
     corrected_faults,
     corrections_sentence,
+    modelled_shifts,
     recommendations_for_causes,
 )
 from ltsim.adjustment.remedies.undetermined import MAX_UNINFORMATIVE_GAIN
@@ -172,7 +173,7 @@ def _summary_sentence(content: Calibration, agreement_text: str, targets: Path |
             f"({number_text(distance.before.mean_um)} to "
             f"{number_text(distance.after.mean_um if distance.after else None)} um)"
         )
-        shifts = [test for test in corrected_faults(content.tests) if test.sigma is not None and test.is_in_model]
+        shifts = modelled_shifts(content.tests)
         if shifts:
             sentence += f", by the calibration and the correction of {count_text(len(shifts), 'error')}"
     if content.outliers:
@@ -275,10 +276,9 @@ def _reference_value_blocks(content: Calibration) -> list[TableBlock]:
     for entry in content.reference_values:
         largest_w[entry.kind, entry.name] = max(largest_w.get((entry.kind, entry.name), 0.0), entry.w)
     sorted_values = sorted(content.reference_values, key=lambda e: (not e.excluded, -largest_w[e.kind, e.name]))
-    fields = ("kind", "name", "component", "residual", "error+-sigma_error", "minimal_detectable_error=detectable")
-    return entries_table_blocks(
-        "Fit of the reference values", sorted_values, *fields, "unit", "redundancy", "w", "excluded", note=note
-    )
+    fields = "kind name component residual error+-sigma_error minimal_detectable_error=detectable unit redundancy w"
+    names = [*fields.split(), "excluded"]
+    return entries_table_blocks("Fit of the reference values", sorted_values, *names, note=note)
 
 
 def _next_actions(content: Calibration, *, is_accepted: bool) -> list[str]:
@@ -301,7 +301,7 @@ def _next_actions(content: Calibration, *, is_accepted: bool) -> list[str]:
         actions.append(f"If the noise is not known, estimate it from the data: {option_text('noise_from_data=True')}.")
     measurements = dict.fromkeys(e.measurement for e in content.undetermined if e.measurement)
     actions += [f"To determine further parameters: {measurement}." for measurement in list(measurements)[:3]]
-    if content.parameters and is_accepted and not actions:
+    if content.parameters and is_accepted and not actions and content.applied_values.any():
         actions.append("Apply the calibration to further readings with ltsim correct.")
     return actions
 
@@ -316,6 +316,7 @@ def _parameter_blocks(content: Calibration, truth: Truth | None) -> list[Block]:
     text = "Corrections (true value minus reading) with 95 % intervals, in units of the prior standard deviation."
     note = CORRECTIONS_NOTE
     if any(p.applied_value is not None for p in rows):
+        rows = tuple(p.model_copy(update={"applied_value": p.value} if p.applied_value is None else {}) for p in rows)
         note += " Applied: correction with the prior scaled to the readings, and 0 for parameters that are not applied."
     undetermined = [
         n for n, p in zip(names, rows, strict=True) if not p.held and p.variance_reduction < MAX_UNINFORMATIVE_GAIN
@@ -340,10 +341,8 @@ def _criteria_blocks(content: Calibration) -> list[TableBlock]:
     if content.criteria is None:
         return []
     text = "Disagreement of the stations in distances between reflectors and in their coordinates."
-    if content.method == "adjustment" and any(
-        test.sigma is not None and test.is_in_model for test in corrected_faults(content.tests)
-    ):
-        text += " It is computed from the readings as they are, with the errors that the model corrects."
+    if content.method == "adjustment" and modelled_shifts(content.tests):
+        text += " The uncorrected readings, from which it is computed, contain the errors that the model corrects."
     table = content.criteria.criteria_table()
     is_compared = any("after" in heading for heading in table.headings)
     return table_blocks("Criteria before and after calibration" if is_compared else "Criteria", table, note=text)

@@ -16,6 +16,7 @@ from ltsim.campaigns.schema import (
     FACTORS_TABLE,
     MEANS_BY_FACTOR_LEVEL_TABLE,
     RATIO_STATISTICS,
+    SUMMARY_FILE_NAME,
     ManifestFile,
     error_columns_of_ratio,
     find_result_column,
@@ -61,6 +62,8 @@ MAX_LISTED_LEVELS = 8
 MAX_SHOWN_SCENARIOS = 100
 """Largest number of combinations of factor levels (cells) whose scenarios a report contains; the manifest contains
 all."""
+MAX_SHOWN_STATISTIC_ROWS = 5_000
+"""Largest number of rows of the table of statistics in a report; `summary.csv` contains all. A row takes 1.5 kB."""
 MAX_OPEN_BLOCKS = 4
 """Largest number of blocks of the section that the page shows open, and not only by their titles."""
 MAX_CELL_ROWS = 48
@@ -129,7 +132,7 @@ def campaign_section(folder: Path) -> Section:
     )
 
 
-def _mean_text(summary: StatisticSummary, level: str = "95 %: ") -> str:
+def _mean_interval_text(summary: StatisticSummary, level: str = "95 %: ") -> str:
     """Mean of a result over the trials with its 95 % interval, as text; `level` is a text before the interval."""
     return f"{number_text(summary.mean)} ({level}{number_text(summary.low)} to {number_text(summary.high)})"
 
@@ -151,7 +154,7 @@ def _summary_sentence(
     for method in manifest.methods:
         means = [s for s in summaries.get(SUMMARY_IMPROVEMENT_COLUMN, []) if s.method == method]
         if len(means) == 1:
-            mean_texts.append(f"{method} by {_mean_text(means[0])} %")
+            mean_texts.append(f"{method} by {_mean_interval_text(means[0])} %")
         elif means:
             ends = dict.fromkeys(number_text(limit(s.mean for s in means)) for limit in (min, max))
             mean_texts.append(f"{method} by {' to '.join(ends)} %")
@@ -332,7 +335,11 @@ def _errors_before_and_after_tables(
     for share in RATIO_STATISTICS:
         entries = [summaries.get(name, []) for name in (*error_columns_of_ratio(share), share)]
         rows = [
-            [names[row_summaries[0].cell], row_summaries[0].method, *(_mean_text(s, "") for s in row_summaries)]
+            [
+                names[row_summaries[0].cell],
+                row_summaries[0].method,
+                *(_mean_interval_text(s, "") for s in row_summaries),
+            ]
             for row_summaries in zip(*entries, strict=all(entries))
         ]
         point_kind = "new point" if share.startswith("new_point") else "point"
@@ -353,6 +360,8 @@ def _statistic_tables(
 ) -> list[Block]:
     """Tables of all results with their definitions, and table of the convergence of the trials."""
     cells = results.table("summary")
+    n_rows = len(cells.rows)
+    cells = replace(cells, rows=cells.rows[:MAX_SHOWN_STATISTIC_ROWS])
     extra_fields = {
         "cell",
         "standard_deviation",
@@ -373,8 +382,10 @@ def _statistic_tables(
     convergence_table = _table_with_levels_as_in_file(
         results, convergence_table.select_columns(" ".join(name for name in convergence_table.header if name != "cell"))
     )
+    count = f"first {MAX_SHOWN_STATISTIC_ROWS} of {n_rows} rows" if n_rows > MAX_SHOWN_STATISTIC_ROWS else ""
+    all_rows_text = f"{SUMMARY_FILE_NAME} contains all rows." if count else ""
     return [
-        *table_blocks(f"Statistics ({count_text(len(shown_table.rows), 'row')})", shown_table),
+        *table_blocks(f"Statistics ({count or count_text(n_rows, 'row')})", shown_table, note=all_rows_text),
         CodeBlock("Definitions of the statistics", "\n".join(definitions)),
         *table_blocks("Convergence of the trials", convergence_table, note=note, marked_rows=failed),
     ]

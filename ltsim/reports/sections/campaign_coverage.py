@@ -5,13 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 
+from ltsim.campaigns.columns import columns_from_rows
 from ltsim.campaigns.results import CampaignResults
 from ltsim.campaigns.schema import ManifestFile
 from ltsim.campaigns.summary import ZScoreSummary
+from ltsim.core.results import Table
 from ltsim.reports.document_model import Block, KeyFigure, PictureBlock, table_blocks
 from ltsim.reports.figures.campaign import ALLOWED_COVERAGE, coverage_figure, is_coverage_outside_band
 from ltsim.reports.figures.campaign_factors import cell_descriptions
 
+MAX_SHOWN_Z_SCORES = 5_000
+"""Largest number of rows of the table of z-scores in a report; the table `z_scores` in Python contains all."""
 MAX_COVERAGE_FIGURES = 3
 """Largest number of figures of the coverage of intervals, one per method."""
 NOISE_ERROR_PRIOR_FACTOR_KEYS = ("noise_factor", "error_factor", "prior_factor")
@@ -56,8 +60,16 @@ def coverage_blocks(results: CampaignResults, z_scores: Sequence[ZScoreSummary])
             )
     text = "z: (estimate - true value) / declared sigma; correct sigmas give mean 0 and standard deviation 1."
     return (
-        [*blocks, *table_blocks("z-scores of the parameters", results.table("z_scores"), note=text)] if z_scores else []
+        [*blocks, *table_blocks("z-scores of the parameters", _first_z_scores(results, z_scores), note=text)]
+        if z_scores
+        else []
     )
+
+
+def _first_z_scores(results: CampaignResults, z_scores: Sequence[ZScoreSummary]) -> Table:
+    """Table of the first `MAX_SHOWN_Z_SCORES` summaries of z-scores, with the factor levels of their cells."""
+    rows = results.with_factor_levels(z_scores[:MAX_SHOWN_Z_SCORES])
+    return Table.from_columns("z_scores", columns_from_rows(rows))
 
 
 def coverage_sentence(z_scores: Sequence[ZScoreSummary]) -> str:

@@ -23,7 +23,12 @@ from ltsim.diagnosis.schema import (
     FindingScope,
     Misfit,
 )
-from ltsim.diagnosis.sentences import effect_title_in_sentence, finding_title, significant_instrument_constant_texts
+from ltsim.diagnosis.sentences import (
+    effect_title_in_sentence,
+    finding_title,
+    percent_text,
+    significant_instrument_constant_texts,
+)
 from ltsim.physics.effects import effect_title, parameter_text
 from ltsim.physics.effects.target_moved import TargetMoved, moved_coordinates_sentence
 from ltsim.recordings.result_file import require_same_recording
@@ -64,8 +69,10 @@ MIN_REPORTED_TARGET_ERROR_UM = 0.1
 """Smallest error of targets [um] for which an undetectable effect is listed; smaller errors are negligible."""
 MIN_ADVISED_ALTERNATIVE_PROBABILITY = 0.05
 """Smallest probability of an alternative cause for which a measurement to exclude it is advised; by convention 5 %."""
-MAX_INSPECTION_ACTIONS = 2
+MAX_ACTIONS_BEFORE_USE = 2
 """Largest number of next actions in addition to the use of the coordinates."""
+PLACE_COVARIATE = "place"
+"""Covariate of effects that differ between stations or targets, which the text of a scope names anyway."""
 MIN_CURVE_POINTS = 3
 """Smallest number of points of an estimated curve that is drawn over its covariate."""
 
@@ -114,7 +121,7 @@ def diagnosis_section(content: Diagnosis, context: SectionContext) -> Section:
         )
     blocks += _undetectable_tables(content)
     n_open_blocks = len(blocks)
-    blocks += _fit_tables(content)
+    blocks += _misfit_tables(content)
     if after is not None and adjustments is not None:
         blocks += residuals_over_covariates(after)
     for entry in content.instruments:
@@ -148,20 +155,18 @@ def _next_actions(content: Diagnosis) -> list[str]:
     """Next actions: a measurement that separates alternative causes, parts to inspect, coordinates to use."""
     if not content.findings:
         return []
-    separating_measurements = [
-        capitalised_sentence(finding.separate_by)
-        for finding in content.findings
-        if finding.separate_by and _has_probable_alternative(finding)
-    ]
-    inspections = [inspection_action(finding) for finding in content.findings]
+    actions: list[str] = []
+    for finding in content.findings:  # in their order, so that the actions begin with those of the first finding
+        is_ambiguous = finding.separate_by and _has_probable_alternative(finding)
+        actions += [capitalised_sentence(finding.separate_by)] if is_ambiguous else []
+        actions.append(inspection_action(finding))
     use_sentence = "Use the coordinates in targets.csv, which account for the findings."
     moved_targets = [
         name for finding in content.findings if finding.effect == TargetMoved.name for name in finding.where.targets
     ]
     use_sentence += f" {moved_coordinates_sentence(moved_targets)}" if moved_targets else ""
     return [
-        *separating_measurements[:1],
-        *dict.fromkeys(inspections[: MAX_INSPECTION_ACTIONS - len(separating_measurements[:1])]),
+        *list(dict.fromkeys(actions))[:MAX_ACTIONS_BEFORE_USE],
         use_sentence,
     ]
 
@@ -238,7 +243,7 @@ def _finding_blocks(
     name = finding_title(finding)
     sentence = finding.sentence or f"{name} {_finding_scope_text(finding.where)}"
     separation_sentence = (
-        f" To separate it from the alternatives: {finding.separate_by.rstrip('.')}." if finding.separate_by else ""
+        f" To separate the finding from its rivals: {finding.separate_by.rstrip('.')}." if finding.separate_by else ""
     )
     formula_is_new = finding.formula not in finding.sentence
     formula_sentence = f" Proposed formula: {finding.formula}." if finding.formula and formula_is_new else ""
@@ -258,8 +263,8 @@ def _finding_blocks(
         "chi2: its fall was not computed, because every compared adjustment contains this effect"
         if evidence.chi2_drop >= INFINITE_GAIN_SUBSTITUTE
         else f"chi2 falls by {number_text(evidence.chi2_drop)} for {count_text(evidence.parameters, 'parameter')}",
-        f"p, corrected for the search: {p_value_text(evidence.p_value)}",
-        f"probability: {100 * evidence.probability:.3g} %",
+        *([] if evidence.p_value is None else [f"p, corrected for the search: {p_value_text(evidence.p_value)}"]),
+        f"probability: {percent_text(evidence.probability)}",
         *(f"alternative: {effect_title_in_sentence(e.effect)}, {100 * e.probability:.2g} %" for e in others),
     ]
     blocks += entries_table_blocks(
@@ -346,14 +351,14 @@ def _finding_scope_text(scope: FindingScope) -> str:
             ("of instrument", scope.instruments),
             ("at station", scope.stations),
             ("at target", scope.targets),
-            ("along", scope.covariates),
+            ("along", [name for name in scope.covariates if name != PLACE_COVARIATE]),
         )
         if names
     ]
     return ", ".join(place_texts) or "everywhere"
 
 
-def _fit_tables(content: Diagnosis) -> list[TableBlock]:
+def _misfit_tables(content: Diagnosis) -> list[TableBlock]:
     """Table of the misfit without and with the findings in the model, with the error of held-out readings."""
     note = (
         "Held-out error: 5-fold cross-validated prediction error, divided by the declared noise (or by the estimated "
@@ -378,7 +383,7 @@ def _undetectable_tables(content: Diagnosis) -> list[TableBlock]:
     )
     cures = " or ".join(dict.fromkeys(u.cure for u in largest_first if u.cure))
     note = "Poses, targets and instrument constants absorb these effects at a plausible worst-case size."
-    note += f" To detect them: {cures}." if cures else ""
+    note += f" Measurement that would detect these effects: {cures}." if cures else ""
     return table_blocks("Undetectable in this recording", table, note=note)
 
 

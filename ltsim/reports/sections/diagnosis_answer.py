@@ -27,16 +27,18 @@ def diagnosis_answer(content: Diagnosis, next_actions: Sequence[str]) -> str:
     if not content.findings:
         return capitalised_sentence(content.summary)
     sentences = [f"The readings contradict the model: {count_text(len(content.findings), 'finding')}."]
-    for finding in content.findings[:MAX_CAUSES_IN_ANSWER]:
+    is_single = len(content.findings) == 1
+    for finding_number, finding in enumerate(content.findings[:MAX_CAUSES_IN_ANSWER], start=1):
         is_probable = finding.evidence.probability >= MIN_PROBABILITY_OF_PROBABLE_CAUSE
         subject = "Cause" if is_probable else "Possible cause"
+        number_text = "" if is_single else f" {finding_number}"
         probability = percent_text(finding.evidence.probability)
         sentences.append(
-            f"{subject}: {finding_title(finding)} {place_text(finding.where)} (probability {probability})."
+            f"{subject}{number_text}: {finding_title(finding)} {place_text(finding.where)} (probability {probability})."
         )
     further = len(content.findings) - MAX_CAUSES_IN_ANSWER
     sentences += [f"{count_text(further, 'further finding')} below."] if further > 0 else []
-    sentences += [f"What to do: {next_actions[0]}"] if next_actions else []
+    sentences += [f"What to do{'' if is_single else ' first'}: {next_actions[0]}"] if next_actions else []
     return " ".join(sentences)
 
 

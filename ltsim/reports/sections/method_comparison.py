@@ -74,7 +74,7 @@ class MethodComparison:
 
     def sentence(self) -> str:
         """Sentence on the combinations of factor levels in which the best method is significantly better or worse."""
-        clauses = [_difference_text(method, entries) for method, entries in self.differences_by_method.items()]
+        clauses = [_best_method_text(method, entries) for method, entries in self.differences_by_method.items()]
         return (
             f"With the same random draws, the {self.statistic_label} with {self.best_method} is {'; '.join(clauses)} "
             "(paired differences that are significant at 95 %)."
@@ -99,7 +99,7 @@ class MethodComparison:
         return table_blocks(f"Which method is better: {self.statistic_label}", table, note=note)
 
 
-def _difference_text(method: str, differences: Sequence[PairedDifference]) -> str:
+def _best_method_text(method: str, differences: Sequence[PairedDifference]) -> str:
     """Text on the combinations of factor levels in which the best method differs significantly from another method.
 
     The text contains the range of the significant differences of each sign, and the number of combinations without a

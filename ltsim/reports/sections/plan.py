@@ -166,7 +166,7 @@ def _trade_off_blocks(content: Plan) -> list[Block]:
     alternatives = content.table("tradeoff")
     objective = "point_error_um" if any(alternatives.column("point_error_um")) else "objective_value"
     shown_columns = alternatives.select_columns(f"station_count faces repeats pointings hours {objective} is_efficient")
-    note = "A smaller objective is better."
+    note = f"A smaller {'weighted point error' if objective == 'point_error_um' else 'objective'} is better."
     return [*blocks, *table_blocks("Alternatives: stations, faces and rounds", shown_columns, note=note)]
 
 

@@ -159,6 +159,75 @@ def test_a_scale_error_of_all_distances_is_no_error_of_control_points(share: flo
 
 
 @pytest.mark.parametrize(
+    ("factor", "cause"), [(1.0 / 0.3048, "feet were recorded as metres"), (0.5, "another unit or a wrong factor")]
+)
+def test_a_large_scale_error_of_all_distances_is_identified_from_the_lengths(factor: float, cause: str) -> None:
+    """With feet for metres no network fitted, and the sentence named temperatures of thousands of kelvin."""
+    recording, truth = hall()
+    readings = recording.readings.copy()
+    readings[:, 0] *= factor
+    scaled = recording.with_readings(readings)
+    selection = identified(scaled)
+    (first, *others) = cause_tests(selection)
+    assert (first.kind, first.where.stations, first.where.targets) == ("scale-error", (), ())
+    assert first.sentence.endswith(f"{cause}.")
+    assert {test.kind for test in others} <= {"noise-level"}  # another unit changes the noise too
+    assert "The distances from all stations" in str(lt.check(scaled)).splitlines()[0]
+    adjusted = lt.adjust(scaled)
+    assert adjusted.adjustment is not None
+    assert np.allclose(adjusted.adjustment.state.target_points, truth.state.target_points, atol=2e-4)
+
+
+def test_feet_for_metres_at_a_single_station_are_a_unit() -> None:
+    recording, _ = hall()
+    readings = recording.readings.copy()
+    readings[recording.station == 1, 0] /= 0.3048
+    selection = identified(recording.with_readings(readings))
+    assert only_cause(selection) == ("unit", ("S2",), ())
+    assert "feet for metres" in cause_tests(selection)[0].sentence
+
+
+def test_a_single_wrong_length_may_be_a_scale_error() -> None:
+    """Without reference points a wrong length and a scale error of all distances are indistinguishable."""
+    recording, _ = hall()
+    (length, *_) = recording.gauge.distance
+    gauge = recording.gauge.model_copy(update={"distance": (length,)})
+    targets = {name: target.model_copy(update={"known_mm": None}) for name, target in recording.setup.targets.items()}
+    setup = recording.setup.model_copy(update={"targets": targets, "gauge": gauge})
+    readings = recording.readings.copy()
+    readings[:, 0] *= 0.9
+    (test, *_) = cause_tests(identified(recording.replace(readings=readings, setup=setup)))
+    assert test.kind == "reference-value"
+    assert "or the distances from all stations are 100000 ppm too short" in test.sentence.replace("1e+05", "100000")
+
+
+@pytest.mark.parametrize("is_in_recording", [True, False])
+def test_a_reference_point_exchanged_with_another_target_is_named(*, is_in_recording: bool) -> None:
+    """The reference coordinates were reported as off by the distance of both targets."""
+    recording, _ = hall()
+    first, second = "T06", "T07"
+    if is_in_recording:
+        i, j = (recording.targets.index(name) for name in (first, second))
+        exchanged = np.arange(len(recording.targets))
+        exchanged[[i, j]] = j, i
+        wrong = recording.replace(target=exchanged[recording.target])
+    else:
+        targets = dict(recording.setup.targets)
+        targets[second] = targets.pop(first)
+        wrong = recording.replace(setup=recording.setup.model_copy(update={"targets": targets}))
+        first, second = second, first
+    selection = identified(wrong)
+    assert only_cause(selection) == ("names", (), (first, second))
+    (test,) = cause_tests(selection)
+    assert test.sentence.startswith(f"The reference coordinates of {first} are those of {second}:")
+    assert test.sentence[:-1] in str(lt.check(wrong)).splitlines()[0]
+    adjusted = lt.adjust(wrong)
+    assert adjusted.adjustment is not None
+    assert not adjusted.adjustment.rejected_references
+    assert adjusted.fit.chi2 < 1.2 * adjusted.fit.dof
+
+
+@pytest.mark.parametrize(
     ("observable", "size"), [("distance", 1e-4), *family([("elevation", 3e-5), ("distance", 0.02)])]
 )
 def test_a_constant_that_drifts_evenly_at_a_station(observable: str, size: float) -> None:

@@ -19,12 +19,11 @@ from ltsim.adjustment.remedies.candidates import (
     repeated_setup_candidates,
 )
 from ltsim.adjustment.remedies.network import PlannedNetwork
-from ltsim.adjustment.remedies.next_measurement import rank_next_measurements
 from ltsim.calibration.network import calibrate_network
 from ltsim.core.arrays import Bools, Floats
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings import read
-from tests.networks import drawn, network
+from tests.networks import drawn, network, ranked_measurements
 
 
 @pytest.fixture(scope="module")
@@ -166,4 +165,4 @@ def test_a_plan_is_continued_in_plan_and_a_set_up_that_sees_too_little_is_no_rem
     }
     assert determined == {f"set up once more at {name}": name in "BC" for name in "ABCD"}
     assert all(candidate.make_adjustment() is not None for candidate in remedies if candidate.kind == "pointings")
-    assert rank_next_measurements(file).proposals
+    assert ranked_measurements(read(file)).proposals

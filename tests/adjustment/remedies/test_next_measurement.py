@@ -19,7 +19,7 @@ from ltsim.adjustment.remedies.candidates import (
 )
 from ltsim.adjustment.remedies.explanations import RivalCauses, best_explanation, residual_space_of
 from ltsim.adjustment.remedies.network import PlannedNetwork
-from ltsim.adjustment.remedies.next_measurement import rank_deciding_measurements, rank_next_measurements
+from ltsim.adjustment.remedies.next_measurement import rank_deciding_measurements
 from ltsim.cli.main import run
 from ltsim.core.errors import ModelError
 from ltsim.diagnosis.detectability import explanations_of_ambiguous_finding
@@ -31,6 +31,7 @@ from ltsim.simulation.scenario import Scenario, load_scenario
 from ltsim.simulation.sections import EffectEntry
 from ltsim.simulation.simulator import simulate
 from ltsim.simulation.truth import Truth
+from tests.networks import ranked_measurements
 
 
 def scenario(**values: float) -> Scenario:
@@ -45,7 +46,7 @@ def drifting() -> tuple[Recording, Truth]:
 
 
 def test_proposals_are_ranked_by_what_they_tell_about_the_instrument(drifting: tuple[Recording, Truth]) -> None:
-    made = rank_next_measurements(drifting[0])
+    made = ranked_measurements(drifting[0])
     sharper = [p.remaining_sigma_fraction for p in made.proposals]
     assert sharper == sorted(sharper)
     assert max(sharper) <= 1.0 + 1e-9
@@ -68,7 +69,7 @@ def test_a_tracker_without_parameters_gets_no_advice_and_explanations_are_still_
 def test_a_proposal_keeps_its_promise_when_it_is_measured(drifting: tuple[Recording, Truth]) -> None:
     """The best proposal, measured with noise and solved: the covariance is the promised one."""
     recording, construction = drifting[0], misalignment_construction()
-    made = rank_next_measurements(recording)
+    made = ranked_measurements(recording)
     best = made.proposals[0].candidate.network
     added = np.arange(len(best.recording)) >= len(recording)
     noise = np.random.default_rng(3).normal(size=best.recording.readings.shape) * best.recording.reading_sigmas()
@@ -127,7 +128,7 @@ def test_evidence_between_two_explanations_is_what_simulation_gives(drifting: tu
 
 
 def test_the_other_face_decides_between_an_index_drift_and_settling(drifting: tuple[Recording, Truth]) -> None:
-    made = rank_next_measurements(drifting[0], explanations=("index-drift", "station-settling"))
+    made = ranked_measurements(drifting[0], explanations=("index-drift", "station-settling"))
     now = made.present_chi2_differences["station-settling"]
     gained = [p.expected_chi2_differences["station-settling"] for p in made.proposals]
     assert all(value >= now - 0.5 for value in gained)
@@ -161,7 +162,7 @@ def test_a_suspicious_reflector_is_looked_at_again() -> None:
         name="nest-lift", stations=("S5",), targets=("T14",), values={"lift-y": 60.0}, shape={"kind": "free"}
     )
     made = load_scenario("paper-workshop").model_copy(update={"effects": (entry,)})
-    proposals = rank_next_measurements(simulate(made, 2)[0], explanations=("nest-lift", "outlier", "target-moved"))
+    proposals = ranked_measurements(simulate(made, 2)[0], explanations=("nest-lift", "outlier", "target-moved"))
     best = proposals.proposals[0]
     assert max(proposals.present_chi2_differences.values()) < 5
     assert best.distinguished_explanations == ("outlier",), (
@@ -182,7 +183,7 @@ def test_diagnosis_and_plan_give_the_same_advice() -> None:
     between, context = explanations_of_ambiguous_finding(diagnosis)
     assert between
     asked = next(f for f in diagnosis.findings if f.effect == between[0])
-    planned = rank_next_measurements(recording, explanations=between, with_effects=context)
+    planned = ranked_measurements(recording, explanations=between, with_effects=context)
     assert asked.separate_by == planned.advice_sentence
     assert (
         planned.proposals[0].candidate.instruction in planned.advice_sentence

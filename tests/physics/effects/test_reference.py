@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ltsim.core.errors import ModelError
 from ltsim.core.units import SI_PER_UNIT
 from ltsim.geometry.polar import swap_front_and_raw, to_polar, wrap_angle
 from ltsim.geometry.rigid import matrix_from_rotation_vector
@@ -375,6 +376,11 @@ def test_wrong_units_have_the_ratios_of_their_units() -> None:
         np.testing.assert_allclose(read[here, column], factor * SCENE.ideal_raw_readings[here, column])
     zenith = SCENE.ideal_raw_readings + WrongUnit(("S2",), mistake="zenith").reading_change(SCENE, np.ones(1))
     np.testing.assert_allclose(zenith[here, 2], np.pi / 2 - SCENE.ideal_raw_readings[here, 2])
+    of_face = WrongUnit(("S2",), mistake="gon", face=2).reading_change(SCENE, np.ones(1))
+    whole = WrongUnit(("S2",), mistake="gon").reading_change(SCENE, np.ones(1))
+    np.testing.assert_array_equal(of_face, np.where((SCENE.face == 2)[:, None], whole, 0.0))
+    with pytest.raises(ModelError, match="face = 3"):
+        WrongUnit(("S2",), face=3)
 
 
 def test_outlier_is_a_single_reading() -> None:

@@ -21,7 +21,7 @@ from ltsim.physics.model.construction import (
 CONSTRUCTIONS = {
     "misalignment": misalignment_construction(),
     "dh": dh_construction(),
-    "dh-rich": dh_construction(4, 3, unphysical_sigma=1.0),
+    "dh-rich": dh_construction(4, 3),
 }
 every = pytest.mark.parametrize("name", CONSTRUCTIONS)
 both = pytest.mark.parametrize("name", ["misalignment", "dh"])
