@@ -1,1 +1,1 @@
-"""Benchmarks: ``python -m benchmarks.calibrations``."""
+"""Benchmarks of ltsim; run one by ``python -m benchmarks.calibrations``."""

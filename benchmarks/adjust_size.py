@@ -1,10 +1,11 @@
-"""Cost and memory of an adjustment against the size of its network.
+"""Cost and memory of an adjustment as a function of the size of its network.
 
     python -m benchmarks.adjust_size results/04_network_size
 
-Rings and arcs of set-ups that see the targets near them, adjusted from nothing, with the standard deviations of all
-points and set-ups and the redundancies of all observations. Every network has a process of its own, so that its peak
-of memory is its own. The time is that of the processor (one thread works); the wall clock stands beside it.
+The networks are rings and arcs of set-ups that measure the nearest targets. Each network is adjusted without start
+values; the cost includes the standard deviations of all points and set-ups and the redundancies of all observations.
+Each network runs in a separate process, so that its peak of memory can be measured. The main figure is the processor
+time of one thread; the wall-clock time is also listed.
 """
 
 from __future__ import annotations
@@ -37,16 +38,16 @@ CASES: tuple[Case, ...] = (
     ("arc", 54, 1003, 3365, "misalignment"),
 )
 SPACING = 6.3
-"""[m] between set-ups."""
+"""[m] Distance between neighbouring set-ups."""
 
 
 def network(kind: str, stations: int, targets: int, pointings: int) -> Recording:
-    """Set-ups on a circle, or an arc of it, each of which sees the targets nearest to it, with the stated noise."""
+    """Recording of set-ups on a circle or an arc, each of which measures its nearest targets with the default noise."""
     rng = random_stream(4, "network", kind, stations)
-    share = 1.0 if kind == "ring" else 0.25
-    radius = stations * SPACING / (2 * np.pi * share)
-    along = 2 * np.pi * share * np.arange(stations) / stations
-    at = 2 * np.pi * share * (np.arange(targets) + 0.5) / targets
+    fraction = 1.0 if kind == "ring" else 0.25
+    radius = stations * SPACING / (2 * np.pi * fraction)
+    along = 2 * np.pi * fraction * np.arange(stations) / stations
+    at = 2 * np.pi * fraction * (np.arange(targets) + 0.5) / targets
     side = radius + rng.choice([-2.0, 2.0], targets) + rng.normal(0, 0.3, targets)
     position = np.stack([radius * np.cos(along), radius * np.sin(along), rng.normal(1.6, 0.1, stations)], axis=1)
     points = np.stack([side * np.cos(at), side * np.sin(at), rng.uniform(0.2, 3.0, targets)], axis=1)
@@ -74,12 +75,12 @@ def network(kind: str, stations: int, targets: int, pointings: int) -> Recording
     return recording.with_readings(exact + recording.reading_sigmas() * rng.standard_normal(exact.shape))
 
 
-def measured(case: Case) -> dict[str, float | str]:
-    """One network: what it took."""
+def measure_case(case: Case) -> dict[str, float | str]:
+    """Row of one network: size, times and peak of memory."""
     kind, stations, targets, pointings, built = case
     recording = network(kind, stations, targets, pointings)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
-    adjust(network("ring", 8, 14, 128))  # Imports and the search for libraries are no part of it.
+    adjust(network("ring", 8, 14, 128))  # imports and loading of libraries must not be measured
     best = (np.inf, np.inf, np.inf)
     for _ in range(3):
         wall, start = time.perf_counter(), time.process_time()
@@ -91,7 +92,7 @@ def measured(case: Case) -> dict[str, float | str]:
         best = min(best, (end - start, solved - start, time.perf_counter() - wall))
     adjustment.solution.require_success()
     if not (np.isfinite(sigma).all() and np.isfinite(poses).all() and abs(np.nansum(redundancy) - adjustment.dof) < 60):
-        raise RuntimeError("the statistics are not what they should be")
+        raise RuntimeError("a standard deviation is not finite, or the redundancies do not sum up to dof")
     return {
         "network": kind, "construction": built, "set_ups": stations, "targets": len(recording.targets),
         "pointings": len(recording), "unknowns": adjustment.problem.unknowns.n_columns, "adjust_s": round(best[1], 3),
@@ -103,7 +104,7 @@ def measured(case: Case) -> dict[str, float | str]:
 
 
 def main(folder: Path) -> None:
-    """Measure all cases, each in its own process, and write the table."""
+    """Measure all cases, each in a separate process, and write the table."""
     rows = []
     for i in range(len(CASES)):
         command = [sys.executable, "-m", "benchmarks.adjust_size", "--case", str(i)]
@@ -118,6 +119,6 @@ def main(folder: Path) -> None:
 
 if __name__ == "__main__":
     if sys.argv[1:2] == ["--case"]:
-        print(json.dumps(measured(CASES[int(sys.argv[2])])))
+        print(json.dumps(measure_case(CASES[int(sys.argv[2])])))
     else:
         main(Path(sys.argv[1] if len(sys.argv) > 1 else "results/04_network_size"))

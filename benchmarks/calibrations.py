@@ -1,10 +1,10 @@
-"""Calibrations side by side: ltsim's batch, ltsim's single solver, numpy, scipy, pyceres, on the same trials.
+"""Calibrations of the same trials by several solvers: ltsim's batch and single solvers, numpy, scipy, pyceres.
 
     python -m benchmarks.calibrations [--trials 16] [--short] [--out FILE]
 
-All solvers start from the nominal network, but for ltsim's single one, which knows the recording alone; all end at the
-same optimum, which the last column shows. One thread each; times are of the processor, the least of several runs, so
-that other work on the machine disturbs little.
+All solvers start from the nominal network, except the single solver of ltsim, which uses only the recording. All
+solvers end at the same optimum, as the last column shows. Each solver has one thread. Times are processor times, the
+smallest of several runs, so that other programs on the computer have little influence.
 """
 
 from __future__ import annotations
@@ -49,18 +49,18 @@ from ltsim.simulation.scenario import load_scenario
 SEED = 11
 
 
-def seconds(work: Callable[[], object], repeats: int) -> float:
-    """Least processor time of several runs."""
+def seconds(function: Callable[[], object], repeats: int) -> float:
+    """Smallest processor time [s] of several runs."""
     best = np.inf
     for _ in range(repeats):
         start = time.process_time()
-        work()
+        function()
         best = min(best, time.process_time() - start)
     return best
 
 
 def difference(engine: BatchCalibrator, block: TrialBatch, trial: int, values: Floats, points: Floats) -> float:
-    """Largest difference [sigma] of parameters and of targets after a rigid fit from the single solver's."""
+    """Largest difference [sigma] of parameters and targets from the single solver's, after a rigid fit."""
     full, single, _ = engine.serial_calibrator.adjust_recording(recording_of_trial(engine.true_network, block, trial))
     if full is None:
         return float("nan")
@@ -70,7 +70,7 @@ def difference(engine: BatchCalibrator, block: TrialBatch, trial: int, values: F
 
 
 def peers(trials: int) -> None:
-    """The table of solvers."""
+    """Print the table of solvers."""
     truth = workshop()
     engine, judge = BatchCalibrator(truth, misalignment_construction()), TrialEvaluator(truth)
     block = truth.draw_batch(SEED, 0)
@@ -122,7 +122,7 @@ def peers(trials: int) -> None:
     }
     for name, solver in solvers.items():
         if solver is None:
-            print(f"{name}: left out, it is not installed (pip install pyceres)")
+            print(f"{name}: skipped, because pyceres is not installed (pip install pyceres)")
             continue
         rows.append(_peer(name, solver, engine, block, trials, batch))
     print(align_columns(["solver", "per trial", "trials a second", "ratio", "agreement [sigma]"], rows))
@@ -145,13 +145,13 @@ def _peer(
     return _row(name, least, batch, worst)
 
 
-def _row(name: str, each: float, batch: float, agreement: float) -> list[str]:
-    shown = f"{1e6 * each:.1f} us" if each < 1e-3 else f"{1e3 * each:.2f} ms"
-    return [name, shown, f"{1 / each:.0f}", f"{each / batch:.1f}", f"{agreement:.0e}"]
+def _row(name: str, trial_seconds: float, batch: float, agreement: float) -> list[str]:
+    shown = f"{1e6 * trial_seconds:.1f} us" if trial_seconds < 1e-3 else f"{1e3 * trial_seconds:.2f} ms"
+    return [name, shown, f"{1 / trial_seconds:.0f}", f"{trial_seconds / batch:.1f}", f"{agreement:.0e}"]
 
 
 def parts() -> None:
-    """Where the time of a trial goes."""
+    """Print the time of each step of a trial."""
     truth = workshop()
     engine, judge = BatchCalibrator(truth, misalignment_construction()), TrialEvaluator(truth)
     network, block = engine.batch_network, truth.draw_batch(SEED, 0)
@@ -169,19 +169,19 @@ def parts() -> None:
             x, block.reading_deviations, block.length_errors, predicted, gradient, cost
         ),
         "calibrate: everything": lambda: engine.calibrate(block),
-        "judge: points of one set of parameters (three times)": lambda: judge.mean_points_by_station(
+        "evaluate: points of one set of parameters (three times)": lambda: judge.mean_points_by_station(
             block.reading_deviations, engine.construction, calibrated.instrument_values
         ),
-        "judge: both criteria (twice)": lambda: judge.criteria_columns(raw, "before"),
-        "judge: error against the truth (three times)": lambda: judge.measured_point_error(raw),
+        "evaluate: both criteria (twice)": lambda: judge.criteria_columns(raw, "before"),
+        "evaluate: error against the truth (three times)": lambda: judge.measured_point_error(raw),
     }
-    print("\nWhere the time goes, us a trial:\n")
+    print("\nTime of each step [us per trial]:\n")
     rows = [[name, f"{1e6 * seconds(step, 20) / TRIALS_PER_STREAM:.1f}"] for name, step in steps.items()]
     print(align_columns(["step", "us"], rows))
 
 
 def other_paths() -> None:
-    """The distance objective in batch, and campaigns whose geometry varies from trial to trial."""
+    """Print the cost of the distance objective in batches, and of campaigns with a new geometry in each trial."""
     truth, every = workshop(), np.arange(TRIALS_PER_STREAM)
     batch, block = BatchDistanceCalibrator(truth, misalignment_construction()), truth.draw_batch(SEED, 0)
     calibrated = batch.calibrate(block, every)
@@ -195,12 +195,12 @@ def other_paths() -> None:
     alone = seconds(lambda: absolute.serial_calibrator.calibrate(block, np.array([0])), 3)
     campaign = CampaignFile(format="ltsim-campaign/1", trials=256, geometry="per-trial", verified_trials_per_shard=0)
     task = ShardTask(campaign, load_scenario("paper-workshop"), "", 0, 0)
-    single = seconds(lambda: make_shard_rows(task), 3) / campaign.trials
+    varying = seconds(lambda: make_shard_rows(task), 3) / campaign.trials
     shared = ShardTask(CampaignFile(format="ltsim-campaign/1", trials=4096), load_scenario("paper-workshop"), "", 0, 0)
     written = seconds(lambda: run_shard_task(shared), 4) / 4096
     print("\nOther paths, one core\n")
     rows = [
-        ["shared geometry, judged, verified, encoded", f"{1e6 * written:.1f} us", f"{1 / written:.0f}", ""],
+        ["common geometry, evaluated, verified, encoded", f"{1e6 * written:.1f} us", f"{1 / written:.0f}", ""],
         ["distance objective, batch", f"{1e6 * each:.0f} us", f"{1 / each:.0f}", f"{worst:.0e}"],
         ["distance objective, single", f"{1e3 * single:.0f} ms", f"{1 / single:.0f}", ""],
         [
@@ -210,13 +210,13 @@ def other_paths() -> None:
             f"{largest_difference:.0e}",
         ],
         ["distance objective, absolute, single", f"{1e3 * alone:.0f} ms", f"{1 / alone:.0f}", ""],
-        ["geometry of its own for each trial, all included", f"{1e3 * single:.1f} ms", f"{1 / single:.0f}", ""],
+        ["new geometry in each trial, all steps", f"{1e3 * varying:.1f} ms", f"{1 / varying:.0f}", ""],
     ]
     print(align_columns(["path", "per trial", "trials a second", "agreement [sigma]"], rows))
 
 
 def scaling(short: bool) -> None:
-    """Cost against stations, targets and trials; memory."""
+    """Print cost by numbers of stations and targets."""
     sizes = [(5, 14), (5, 28), (5, 56), (10, 28), (20, 28)] + ([] if short else [(5, 112), (40, 28), (20, 112)])
     rows = []
     for stations, targets in sizes:
@@ -226,7 +226,7 @@ def scaling(short: bool) -> None:
         block = truth.draw_batch(SEED, 0)
         engine.calibrate(block)
         prepared = time.process_time() - start
-        each = seconds(lambda t=truth, e=engine: e.calibrate(t.draw(SEED, 1)), 3) / TRIALS_PER_STREAM  # type: ignore[misc]
+        each = seconds(lambda t=truth, e=engine: e.calibrate(t.draw_batch(SEED, 1)), 3) / TRIALS_PER_STREAM  # type: ignore[misc]
         recording = recording_of_trial(truth, block, 0)
         single = seconds(lambda r=recording, e=engine: adjust(r, e.construction), 2)  # type: ignore[misc]
         rows.append(
@@ -234,16 +234,19 @@ def scaling(short: bool) -> None:
              f"{1e6 * each:.0f}", f"{1e3 * single:.1f}",
              f"{single / each:.0f}", f"{prepared:.2f}"]
         )  # fmt: skip
-    print("\nCost against the network: simulation and calibration, one core\n")
+    print("\nCost by size of the network: simulation and calibration, one core\n")
     heads = ["stations", "targets", "unknowns", "batch [us]", "single [ms]", "ratio", "preparation [s]"]
     print(align_columns(heads, rows, n_text_columns=0))
 
 
 def trials_against_time(short: bool) -> None:
-    """Cost against the number of trials on two processes, as a campaign does it: judged, verified, written."""
+    """Print cost by number of trials, in two processes, with all steps of a campaign.
+
+    Trials are simulated, calibrated, evaluated, verified and written.
+    """
     scenario, rows = load_scenario("paper-workshop"), []
     with tempfile.TemporaryDirectory() as place, parallel_config(backend="loky", inner_max_num_threads=1):
-        for shards in (2, 4, 16) if short else (2, 4, 16, 64):  # the first time the processes start and compile
+        for shards in (2, 4, 16) if short else (2, 4, 16, 64):  # the first run starts processes and compiles
             campaign = CampaignFile(format="ltsim-campaign/1", trials=4096 * shards)
             tasks = [ShardTask(campaign, scenario, "", 0, shard) for shard in range(shards)]
             store, start = CampaignFolder(Path(place) / str(shards)), time.perf_counter()
@@ -253,30 +256,30 @@ def trials_against_time(short: bool) -> None:
             wall = time.perf_counter() - start
             rows.append([str(campaign.trials), f"{wall:.2f}", f"{campaign.trials / wall:.0f}"])
     print(
-        "\nCost against the number of trials: simulated, calibrated, judged, two of each 4 096 verified by the single"
+        "\nCost by number of trials: simulated, calibrated, evaluated, two of each 4,096 verified by the single solver,"
     )
-    print("solver, written; two processes, wall clock\n")
+    print("written; two processes, wall clock\n")
     print(align_columns(["trials", "s", "trials a second"], rows[1:], n_text_columns=0))
     largest = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     print(f"\nlargest process: {largest / 1024:.0f} MiB; it does not grow with the number of trials")
 
 
 def main() -> None:
-    """Run all parts."""
+    """Run all benchmarks of this module."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.calibrations", description=__doc__)
-    parser.add_argument("--trials", type=int, default=16, help="trials for the solvers that take one at a time")
+    parser.add_argument("--trials", type=int, default=16, help="number of trials of the solvers without batches")
     parser.add_argument("--short", action="store_true", help="smaller networks and fewer trials")
-    parser.add_argument("--out", type=Path, help="a file for what is printed")
-    chosen = parser.parse_args()
+    parser.add_argument("--out", type=Path, help="file for the printed text")
+    options = parser.parse_args()
     output = StringIO()
-    with threadpool_limits(limits=1), redirect_stdout(output if chosen.out else sys.stdout):
-        peers(chosen.trials)
+    with threadpool_limits(limits=1), redirect_stdout(output if options.out else sys.stdout):
+        peers(options.trials)
         parts()
         other_paths()
-        scaling(chosen.short)
-        trials_against_time(chosen.short)
-    if chosen.out:
-        chosen.out.write_text(output.getvalue(), encoding="utf-8")
+        scaling(options.short)
+        trials_against_time(options.short)
+    if options.out:
+        options.out.write_text(output.getvalue(), encoding="utf-8")
         print(output.getvalue(), end="")
 
 

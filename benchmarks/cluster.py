@@ -1,11 +1,11 @@
-"""What a trial costs on this machine's processes and on a dask cluster, with workers killed, and what 10^9 would cost.
+"""Cost of a trial in processes of one computer and on a dask cluster with killed workers; estimate for 10^9 trials.
 
-    python -m benchmarks.cluster            # --trials N for other than 262144
+    python -m benchmarks.cluster            # --trials N for a number of trials other than 262144
 
-A campaign of the paper's workshop is run three times into the same rows: by joblib's processes, by a scheduler and
-workers of their own that are found through a cluster file, and by such workers of which one is killed midway and
-replaced. Times
-are of the processor, of all processes together, since a wall clock measures the neighbours too; both are printed.
+A campaign of the paper's workshop is run three times: by processes of joblib, by a dask scheduler with workers that
+connect through a cluster file, and by such workers of which one is killed and replaced during the run. All three must
+write the same rows. Times are processor times of all processes together, because the wall-clock time also depends on
+other programs on the computer; both are printed.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ TICK = os.sysconf("SC_CLK_TCK")
 
 
 def processor_seconds(pid: int) -> float:
-    """[s] of the processor that a process and its children took so far; 0 for one that is gone."""
+    """Processor time [s] of a process and its children so far; 0 if the process has ended."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(") ")[2].split()
     except OSError:
@@ -45,10 +45,10 @@ def processor_seconds(pid: int) -> float:
 
 
 @contextmanager
-def command(*words: str) -> Iterator[subprocess.Popen[bytes]]:
-    """A process of dask that ends with the block."""
-    code = f"import sys; sys.argv = {['dask', *words]!r}; from distributed.cli import dask_scheduler, dask_worker; "
-    code += f"(dask_scheduler if {words[0]!r} == 'scheduler' else dask_worker).main({list(words[1:])!r})"
+def command(*arguments: str) -> Iterator[subprocess.Popen[bytes]]:
+    """Process of a dask command, which is terminated at the end of the `with` block."""
+    code = f"import sys; sys.argv = {['dask', *arguments]!r}; from distributed.cli import dask_scheduler, dask_worker; "
+    code += f"(dask_scheduler if {arguments[0]!r} == 'scheduler' else dask_worker).main({list(arguments[1:])!r})"
     quiet = subprocess.DEVNULL
     running = subprocess.Popen([sys.executable, "-c", code], stdout=quiet, stderr=quiet)
     try:
@@ -59,19 +59,24 @@ def command(*words: str) -> Iterator[subprocess.Popen[bytes]]:
 
 
 def digest(folder: Path) -> str:
-    """Of all rows."""
+    """First 12 digits of the sha256 of all rows."""
     whole = hashlib.sha256()
     for path in sorted(folder.glob("rows/*/*.parquet")):
         whole.update(path.read_bytes())
     return whole.hexdigest()[:12]
 
 
-def measured(
-    name: str, file: Path, out: Path, workers: WorkerSettings, trials: int, each: Callable[[], None] = lambda: None
+def run_and_measure(
+    name: str,
+    file: Path,
+    out: Path,
+    workers: WorkerSettings,
+    trials: int,
+    after_shard: Callable[[], None] = lambda: None,
 ) -> float:
-    """Run a campaign and print what a trial took; give its seconds of the processor."""
+    """Processor time [s] per trial of a campaign; a table row is printed."""
     before, begun = processor_seconds(os.getpid()), time.perf_counter()
-    run_campaign(file, out, workers=workers, progress=lambda _: each())
+    run_campaign(file, out, workers=workers, progress=lambda _: after_shard())
     wall, spent = time.perf_counter() - begun, processor_seconds(os.getpid()) - before
     size = sum(path.stat().st_size for path in out.glob("rows/*/*.parquet")) / trials
     print(
@@ -81,8 +86,11 @@ def measured(
     return spent / trials
 
 
-def on_cluster(folder: Path, file: Path, trials: int, *, kill: bool) -> None:
-    """The same on a scheduler with workers; with `kill` one is killed after a quarter of the shards and replaced."""
+def measure_on_cluster(folder: Path, file: Path, trials: int, *, kill: bool) -> None:
+    """Run the campaign with a scheduler and workers.
+
+    With `kill`, one worker is killed after a quarter of the shards, and replaced.
+    """
     cluster = folder / f"cluster-{kill}.json"
     worker = (
         "worker",
@@ -102,7 +110,7 @@ def on_cluster(folder: Path, file: Path, trials: int, *, kill: bool) -> None:
         doomed, *_ = [stack.enter_context(command(*worker)) for _ in range(JOBS)]
         done = [0]
 
-        def each() -> None:
+        def after_shard() -> None:
             done[0] += 1
             if kill and done[0] == trials // SHARD // 4:
                 doomed.kill()
@@ -110,11 +118,11 @@ def on_cluster(folder: Path, file: Path, trials: int, *, kill: bool) -> None:
 
         name = f"dask, {JOBS} workers" + (", one killed and replaced" if kill else "")
         out = folder / f"dask-{kill}"
-        measured(name, file, out, WorkerSettings(backend="dask", scheduler=str(cluster)), trials, each)
+        run_and_measure(name, file, out, WorkerSettings(backend="dask", scheduler=str(cluster)), trials, after_shard)
 
 
 def main() -> None:
-    """Print the table."""
+    """Run the campaigns, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--trials", type=int, default=2**18)
     trials = parser.parse_args().trials
@@ -126,11 +134,13 @@ def main() -> None:
         warm.write_text(FILE.format(trials=256, shard=256))
         run_campaign(warm, folder / "warm")
         print(
-            "| who works | processor a trial | wall a trial | bytes a trial | digest of the rows |\n" + "|---" * 5 + "|"
+            "| workers | processor time per trial | wall time per trial | bytes per trial | digest of the rows |\n"
+            + "|---" * 5
+            + "|"
         )
-        spent = measured(f"joblib, {JOBS} processes", file, folder / "local", WorkerSettings(JOBS), trials)
-        on_cluster(folder, file, trials, kill=False)
-        on_cluster(folder, file, trials, kill=True)
+        spent = run_and_measure(f"joblib, {JOBS} processes", file, folder / "local", WorkerSettings(JOBS), trials)
+        measure_on_cluster(folder, file, trials, kill=False)
+        measure_on_cluster(folder, file, trials, kill=True)
         size = sum(path.stat().st_size for path in (folder / "local").glob("rows/*/*.parquet")) / trials
     print(
         f"\n10^9 trials: {HUGE * spent / 3600:.0f} core hours, {HUGE * spent / 3600 / 64:.1f} h on 64 cores, "

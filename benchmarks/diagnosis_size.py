@@ -1,10 +1,10 @@
-"""Cost and memory of a diagnosis against the size of its recording.
+"""Cost and memory of a diagnosis as a function of the size of its recording.
 
     python -m benchmarks.diagnosis_size results/20_concealed_physics/size
 
-One station that watches 24 targets for hours beside six further columns, with 1,000 to 20,000 pointings, and a ring of
-210 set-ups. In both the vertical index drifts, so that there is something to find. Every recording has a process of its
-own, so that its peak of memory is its own; the time is that of the processor.
+The recordings are one station that measures 24 targets for hours, with six further columns and 1,000 to 20,000
+pointings, and a ring of 210 set-ups. In both, the vertical index drifts, so that the diagnosis has a finding. Each
+recording runs in a separate process, so that its peak of memory can be measured; times are processor times.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ from ltsim.recordings.setup import Setup, Station
 CASES: tuple[tuple[str, int], ...] = (*(("station", n) for n in (1_000, 3_000, 10_000, 20_000)), ("ring", 3_340))
 TARGETS, COLUMNS = 24, 6
 PACE = 5.0
-"""[s] From pointing to pointing."""
+"""[s] Time from one pointing to the next."""
 
 
-def watched(pointings: int) -> Recording:
-    """One station and its targets, again and again, with columns that sway as an arm does."""
+def station_recording(pointings: int) -> Recording:
+    """Recording of one station that measures its targets again and again, with columns of oscillating joint angles."""
     rng = random_stream(20, "watched", pointings)
     bearing, elevation, range_ = (
         rng.uniform(-3, 3, TARGETS),
@@ -69,13 +69,13 @@ def watched(pointings: int) -> Recording:
     return recording.with_readings(exact + recording.reading_sigmas() * rng.standard_normal(exact.shape))
 
 
-def measured(kind: str, pointings: int) -> dict[str, Any]:
-    """One recording: what its diagnosis took."""
-    clean = watched(pointings) if kind == "station" else network("ring", 210, 370, pointings)
+def measure_case(kind: str, pointings: int) -> dict[str, Any]:
+    """Row of one recording: size, times, peak of memory, and findings."""
+    clean = station_recording(pointings) if kind == "station" else network("ring", 210, 370, pointings)
     drift = np.zeros((pointings, 3))
     drift[:, 2] = 4 * MICRORADIAN * np.exp(-clean.time / (0.2 * clean.time[-1]))
     recording = clean.with_readings(clean.readings + drift)
-    lt.diagnose(watched(240))  # Imports and compiled parts are no part of it.
+    lt.diagnose(station_recording(240))  # imports and compilation must not be measured
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
     wall, start = time.perf_counter(), time.process_time()
     result_content = lt.diagnose(recording).content()
@@ -88,11 +88,11 @@ def measured(kind: str, pointings: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def main(folder: Path, chosen: list[str]) -> None:
-    """Measure all cases, or those whose number of pointings is named, each in its own process; write the table."""
+def main(folder: Path, pointing_numbers: list[str]) -> None:
+    """Measure all cases, or those with the given numbers of pointings, in separate processes; write the table."""
     rows = []
     for kind, pointings in CASES:
-        if chosen and str(pointings) not in chosen:
+        if pointing_numbers and str(pointings) not in pointing_numbers:
             continue
         command = [sys.executable, "-m", "benchmarks.diagnosis_size", "--case", kind, str(pointings)]
         rows.append(json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout))
@@ -106,6 +106,6 @@ def main(folder: Path, chosen: list[str]) -> None:
 
 if __name__ == "__main__":
     if sys.argv[1:2] == ["--case"]:
-        print(json.dumps(measured(sys.argv[2], int(sys.argv[3]))))
+        print(json.dumps(measure_case(sys.argv[2], int(sys.argv[3]))))
     else:
         main(Path(sys.argv[1] if len(sys.argv) > 1 else "build/diagnosis_size"), sys.argv[2:])

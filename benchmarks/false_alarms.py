@@ -1,13 +1,13 @@
-"""How often does a diagnosis alarm where nothing is hidden? 5 % is asked, in small halls and in large ones.
+"""Rate of false alarms of the diagnosis in recordings without an effect; 5 % are expected in small and in large halls.
 
-    python -m benchmarks.false_alarms small 400 --jobs 2     # the paper's workshop: 130 unknowns, products are exact
-    python -m benchmarks.false_alarms large 400 --jobs 2     # 160 targets on its walls: above 500 unknowns, sampled
-    python -m benchmarks.false_alarms large 400 --first 1000 # others of these
-    python -m benchmarks.false_alarms small 100 --held-out   # forced to explain noise: does the held-out error fall?
+    python -m benchmarks.false_alarms small 400 --jobs 2     # the paper's workshop: 130 unknowns, exact products
+    python -m benchmarks.false_alarms large 400 --jobs 2     # 160 targets: above 500 unknowns, sampled products
+    python -m benchmarks.false_alarms large 400 --first 1000 # other recordings
+    python -m benchmarks.false_alarms small 100 --held-out   # diagnoses forced to report: does the held-out error fall?
 
-Instruments, places and noise are drawn anew for every recording, and so are the recordings that each is compared with:
-with the same 300 for all, their own chance (1.3 % at 5 %) would stand in every answer alike. Reflectors are without
-their error of incidence.
+Instruments, positions and noise are drawn anew for each recording, and so are the simulated recordings with which it
+is compared. If all recordings were compared with the same 300 simulated ones, the random error of these (1.3 % at 5 %)
+would be common to all p-values. Reflectors have no error of incidence.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ LIMITS = (0.01, 0.05, 0.1)
 
 
 def hall(size: str) -> str:
-    """The paper's workshop without its reflectors' error, as it is or with many targets seen from four stations."""
+    """Scenario text: the paper's workshop without errors of incidence, small or with 160 targets and four stations."""
     text = builtin_text("paper-workshop").replace("incidence_error = true", "incidence_error = false")
     if size == "small":
         return text
@@ -40,40 +40,42 @@ def hall(size: str) -> str:
     return head + "".join(f"[targets.{n}]\nposition_mm = {list(p)}\n" for n, p in zip(names, places, strict=True))
 
 
-def chance(seed: int, file: Path) -> tuple[float, int]:
-    """The p-value of the search on one clean recording, compared with its own draws, and how many unknowns it has."""
+def p_value_of_search(seed: int, file: Path) -> tuple[float, int]:
+    """p-value of the search on one recording without an effect, and the number of unknowns of its adjustment."""
     diagnosis = lt.diagnose(lt.simulate(file, seed=seed)[0], seed=seed)
     return diagnosis.global_test.search_p_value, diagnosis.baseline_adjustment.solution.system.design.shape[1]
 
 
-def fell(seed: int, file: Path) -> bool | None:
-    """Whether what a search is forced to find in a clean recording lowers the held-out error; None: found nothing."""
+def held_out_error_falls(seed: int, file: Path) -> bool | None:
+    """True if the findings of a diagnosis that is forced to report lower the held-out error; None without findings."""
     diagnosis = lt.diagnose(lt.simulate(file, seed=seed)[0], level=0.999, held_out=True)
     before, after = diagnosis.fit.before.held_out_rms, diagnosis.fit.after.held_out_rms
     return None if before is None or after is None or not diagnosis.findings else after < before
 
 
 def main() -> None:
-    """Diagnose clean recordings and count."""
+    """Diagnose recordings without an effect, and print the counts."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("size", choices=("small", "large"))
     parser.add_argument("recordings", type=int)
-    parser.add_argument("--first", type=int, default=0, help="the first seed")
+    parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--held-out", action="store_true")
-    given = parser.parse_args()
-    seeds = range(given.first, given.first + given.recordings)
+    options = parser.parse_args()
+    seeds = range(options.first, options.first + options.recordings)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "hall.toml"
-        file.write_text(hall(given.size), encoding="utf-8")
-        with ProcessPoolExecutor(given.jobs) as pool:
-            if given.held_out:
-                each = [f for f in pool.map(partial(fell, file=file), seeds) if f is not None]
-                print(f"{given.size}: the held-out error falls in {sum(each)} of {len(each)} with something told")
+        file.write_text(hall(options.size), encoding="utf-8")
+        with ProcessPoolExecutor(options.jobs) as pool:
+            if options.held_out:
+                falls = [fall for fall in pool.map(partial(held_out_error_falls, file=file), seeds) if fall is not None]
+                counts = f"{sum(falls)} of {len(falls)}"
+                print(f"{options.size}: the held-out error falls in {counts} diagnoses with findings")
                 return
-            p_values = list(pool.map(partial(chance, file=file), seeds))
+            p_values = list(pool.map(partial(p_value_of_search, file=file), seeds))
     p = np.array([value for value, _ in p_values])
-    print(f"{given.size}: {given.recordings} clean recordings of {min(n for _, n in p_values)} unknowns and more")
+    unknowns = min(n for _, n in p_values)
+    print(f"{options.size}: {options.recordings} recordings without an effect, with {unknowns} unknowns or more")
     for limit in LIMITS:
         count = int(np.sum(p <= limit))
         low, high = binomtest(count, len(p)).proportion_ci(method="exact")

@@ -48,20 +48,20 @@ SAVES = {
     "cascadio": "STEP and IGES files as obstacles",
 }
 MODULE = {"trame-vtk": "trame_vtk.modules.vtk.serializers", "scipy": "scipy.stats", "matplotlib": "matplotlib.figure"}
-"""What is loaded, where it is not the name itself: as ltsim loads it."""
+"""Imported module of each package whose module has another name, as ltsim imports it."""
 CLOCK = "import resource as r; u = r.getrusage(r.RUSAGE_SELF); print(u.ru_utime + u.ru_stime)"
 
 
-def declared() -> dict[str, str]:
-    """Packages that ltsim asks for, each with the extra that asks for it ('' for none); tools of developers aside."""
+def required_packages() -> dict[str, str]:
+    """Extra ('' for none) by name of each package that ltsim requires, without tools for developers."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    asked = {"": project["dependencies"], **project["optional-dependencies"]}
-    wanted = [(Requirement(text).name, kind) for kind, texts in asked.items() for text in texts]
-    return {name: kind for name, kind in reversed(wanted) if kind not in ("dev", "docs") and name != "ltsim"}
+    texts_by_extra = {"": project["dependencies"], **project["optional-dependencies"]}
+    required = [(Requirement(text).name, extra) for extra, texts in texts_by_extra.items() for text in texts]
+    return {name: extra for name, extra in reversed(required) if extra not in ("dev", "docs") and name != "ltsim"}
 
 
 def needs(name: str, cache: dict[str, set[str]]) -> set[str]:
-    """A package and all that it needs, as far as it is installed."""
+    """Names of a package and of all its installed dependencies."""
     key = re.sub(r"[-_.]+", "-", name).lower()
     if key in cache:
         return cache[key]
@@ -77,25 +77,25 @@ def needs(name: str, cache: dict[str, set[str]]) -> set[str]:
 
 
 def megabytes(name: str) -> float:
-    """Size of a package's own files [MB]; compiled bytecode is made later and left out."""
+    """Size of a package's own files [MB], without compiled bytecode."""
     package: Distribution = distribution(name)
     files = (Path(str(package.locate_file(file))) for file in package.files or [] if file.suffix != ".pyc")
     return sum(file.stat().st_size for file in files if file.is_file()) / 1e6
 
 
 def seconds(module: str) -> float:
-    """Processor time [s] of loading a module, the interpreter's start taken off."""
+    """Processor time [s] of importing a module, without the start of the interpreter."""
     return max(0.0, min(_clock(f"import {module}; ") for _ in range(3)) - min(_clock("") for _ in range(3)))
 
 
-def _clock(before: str) -> float:
-    done = subprocess.run([sys.executable, "-c", before + CLOCK], capture_output=True, text=True, check=True)
+def _clock(statement: str) -> float:
+    done = subprocess.run([sys.executable, "-c", statement + CLOCK], capture_output=True, text=True, check=True)
     return float(done.stdout)
 
 
 def rows() -> list[list[str]]:
     """Row of each package: name, version, extra, whole size [MB], freed size [MB], load time [s], task in ltsim."""
-    packages, cache = declared(), dict[str, set[str]]()
+    packages, cache = required_packages(), dict[str, set[str]]()
     closure = {name: needs(name, cache) for name in packages}
     size = {name: megabytes(name) for name in set().union(*closure.values())}
     table = []

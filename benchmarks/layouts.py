@@ -1,14 +1,14 @@
-"""Layouts a second of the planner, for the paper's size: 5 stations, 28 reflectors, 16 parameters.
+"""Layouts per second of the planner, for the size of the paper: 5 stations, 28 reflectors, 16 parameters.
 
     python -m benchmarks.layouts            # about a minute
 
-Layouts are drawn on the floor of the built-in plan `paper-workshop`, each with all places and turns of its own. For
-each: rules of the floor, who sees whom, all readings linearised at the new places, targets and poses eliminated, and
-the objective (determinant of the parameters' covariance). The other lines are the step of the search: one station
-exchanged for set-ups of a table that was linearised before.
+Layouts are drawn on the floor of the built-in plan `paper-workshop`, each with new positions and orientations. The
+steps for each layout are: rules of the floor, visibility, linearisation of all readings, elimination of targets and
+poses, and the objective (determinant of the covariance of the parameters). The other rows of the table are the step of
+the search, which exchanges one station for set-ups of a table that was linearised before.
 
-Two processes work at once, by the wall clock between a common start and the last one's end; the processor time beside
-it does not depend on who else works on the machine.
+Two processes run at the same time. The wall-clock time is that between their common start and the end of the last; the
+processor time does not depend on other programs on the computer.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ Rate = tuple[int, float, float]
 
 
 def searcher(faces: int) -> LayoutSearcher:
-    """The search of the built-in plan."""
+    """Layout search of the built-in plan."""
     file, scenario = load_plan("paper-workshop")
     site = make_search_space(file, scenario, n_stations=5, n_faces=faces)
     return LayoutSearcher(site, layout_objective(file, site.survey))
 
 
 def from_scratch(search: LayoutSearcher, number: int) -> int:
-    """A batch of layouts, everything computed anew; how many of them may be."""
+    """Number of feasible layouts in a random batch, for which everything is computed anew."""
     draw, count = random_stream(2, "layouts", number), search.n_stations
     grid = search.normal_blocks_of_grid(0).setup_positions
     position = grid[draw.integers(0, len(grid), (BATCH, count))] + draw.uniform(-0.05, 0.05, (BATCH, count, 3))
@@ -52,8 +52,8 @@ def from_scratch(search: LayoutSearcher, number: int) -> int:
     return int(np.sum(np.isfinite(values) & good))
 
 
-def exchanged(search: LayoutSearcher, number: int) -> int:
-    """One station of a layout replaced by every set-up of the table."""
+def exchange_station(search: LayoutSearcher, number: int) -> int:
+    """Number of set-ups in the table, after one station of a layout has been replaced by each of them."""
     draw, table = random_stream(3, "exchange", number), search.normal_blocks_of_grid(0)
     chosen = draw.integers(0, len(table.setup_positions), search.n_stations)
     search.best_replacement(table.select(chosen), int(draw.integers(search.n_stations)), table)
@@ -61,9 +61,9 @@ def exchanged(search: LayoutSearcher, number: int) -> int:
 
 
 def worker(kind: str, faces: int, number: int, together: Barrier, results: multiprocessing.Queue[Rate]) -> None:
-    """Layouts, wall clock and processor time of one process."""
+    """Put the number of layouts, wall-clock time and processor time [s] of one process into the queue."""
     with threadpool_limits(1):
-        search, step = searcher(faces), {"scratch": from_scratch, "exchange": exchanged}[kind]
+        search, step = searcher(faces), {"scratch": from_scratch, "exchange": exchange_station}[kind]
         step(search, 10_000 + number)
         together.wait()
         begin, used, done, round_ = time.perf_counter(), time.process_time(), 0, 0
@@ -74,8 +74,8 @@ def worker(kind: str, faces: int, number: int, together: Barrier, results: multi
         results.put((done, time.perf_counter() - begin, time.process_time() - used))
 
 
-def measured(kind: str, faces: int) -> tuple[float, float]:
-    """Layouts a second of all processes by the wall clock, and of one by its processor time: the best runs."""
+def layout_rates(kind: str, faces: int) -> tuple[float, float]:
+    """Layouts per second by the wall clock, of all processes, and by processor time, of one; best of several runs."""
     best = (0.0, 0.0)
     for _ in range(REPEATS):
         together = multiprocessing.Barrier(PROCESSES)
@@ -94,14 +94,15 @@ def measured(kind: str, faces: int) -> tuple[float, float]:
 
 
 def main() -> None:
-    """Print a table."""
+    """Run all cases, and print the table."""
     print(f"load before: {os.getloadavg()[0]:.1f}, {os.cpu_count()} processors, {PROCESSES} processes")
-    print("| layouts of 5 stations, 28 reflectors | a second, two processes, wall clock | a second of processor time |")
+    heads = ("layouts of 5 stations, 28 reflectors", "per second, two processes", "per second of processor time")
+    print("| " + " | ".join(heads) + " |")
     print("|---|---|---|")
-    for kind, words in (("scratch", "all anew"), ("exchange", "one station exchanged")):
+    for kind, label in (("scratch", "everything computed anew"), ("exchange", "one station exchanged")):
         for faces in (1, 2):
-            wall, rate = measured(kind, faces)
-            print(f"| {words}, {'one face' if faces == 1 else 'two faces'} | {wall:,.0f} | {rate:,.0f} |", flush=True)
+            wall, rate = layout_rates(kind, faces)
+            print(f"| {label}, {'one face' if faces == 1 else 'two faces'} | {wall:,.0f} | {rate:,.0f} |", flush=True)
 
 
 if __name__ == "__main__":

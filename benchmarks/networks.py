@@ -19,12 +19,15 @@ from ltsim.simulation.scenario import load_scenario
 
 
 def workshop() -> TrueNetwork:
-    """The paper's: 28 targets, 5 stations, one face."""
+    """Network of the paper: 28 targets, 5 stations, one face."""
     return make_true_network(load_scenario("paper-workshop"), 1, "benchmark")
 
 
 def room(stations: int, targets: int) -> TrueNetwork:
-    """Stations on a circle of 1.5 m, targets on a spiral over the walls of a room of 8 m; 4 of them are a gauge."""
+    """Stations on a circle of 1.5 m, and targets on a spiral over the walls of a room of 8 m.
+
+    Four targets are a gauge.
+    """
     turn = 2 * np.pi * np.arange(stations) / stations
     position = np.stack([1.5 * np.cos(turn), 1.5 * np.sin(turn), 1.6 + 0.3 * np.sin(3 * turn)], axis=1)
     around = 2 * np.pi * 0.618034 * np.arange(targets - 4)

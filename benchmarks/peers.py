@@ -1,7 +1,7 @@
-"""The same network adjustment by other solvers, each with the same exact forward model, from the nominal network.
+"""Network adjustment by other solvers, with the same exact forward model, from the nominal network.
 
-Unknowns as a person would set them up: poses of all stations but the first, targets, parameters. Rows: readings, known
-lengths, priors, all divided by their sigmas. Residual and Jacobian are vectorised numpy for everybody.
+The unknowns are poses of all stations but the first, targets and parameters. The rows are readings, reference lengths
+and priors, divided by their standard deviations. All solvers use the same vectorised residual and Jacobian.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
 
 TOLERANCE = 1e-8
-"""The loosest at which all end within 0.001 sigma of the optimum."""
+"""Largest tolerance with which all solvers end within 0.001 sigma of the optimum."""
 
 
 @dataclass(frozen=True)
 class DenseProblem:
-    """A recording as dense least squares around a start.
+    """Dense least-squares problem of a recording, around a start.
 
     Attributes
     ----------
     recording : Recording
-        One instrument, everything measured, no levels and no control points.
+        Recording of one instrument, with all pointings measured, without levels and control points.
     construction : GeometricErrorModel
-    start : State
+    start : NetworkState
     """
 
     recording: Recording
@@ -67,7 +67,7 @@ class DenseProblem:
         return 6 * (len(self._start[0]) - 1) + self._start[2].size + self.construction.n_parameters
 
     def state(self, x: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Positions, rotations, targets and parameters at unknowns (K,)."""
+        """Positions, rotations, targets and parameters for the unknowns (K,)."""
         position, rotation, points = self._start
         poses = 6 * (len(position) - 1)
         pose = np.concatenate([np.zeros((1, 6)), x[:poses].reshape(-1, 6)])
@@ -76,14 +76,14 @@ class DenseProblem:
         return position + pose[:, :3], turned, moved, x[poses + points.size :]
 
     def _local(self, x: Floats) -> tuple[Floats, ...]:
-        """Local points and geometry."""
+        """Points in the tracker frame (n, 3) [m], and the geometry."""
         position, rotation, points, values = self.state(x)
         turn = rotation[self.recording.station]
         arm = points[self.recording.target] - position[self.recording.station]
         return np.einsum("nji,nj->ni", turn, arm), arm, turn, points, values
 
-    def _evaluated(self, x: Floats) -> tuple[Floats, ...]:
-        """Readings and geometry; kept for the Jacobian at the point of the last residual."""
+    def _readings_and_geometry(self, x: Floats) -> tuple[Floats, ...]:
+        """Readings (n, 3) and geometry, which are cached for the Jacobian at the same unknowns."""
         key = x.tobytes()
         if key not in self._designs:
             local, *geometry = self._local(x)
@@ -94,8 +94,8 @@ class DenseProblem:
             )
         return self._designs[key]
 
-    def _linearised(self, x: Floats) -> tuple[Floats, ...]:
-        """Derivatives of the readings by the local point and by the parameters, and geometry; readings are kept."""
+    def _design_and_geometry(self, x: Floats) -> tuple[Floats, ...]:
+        """Derivatives of the readings by point and by parameters, and geometry; the readings are cached."""
         key = x.tobytes()
         if key in self._designs:
             raw, *geometry = self._designs[key]
@@ -107,8 +107,8 @@ class DenseProblem:
         return (*by, *geometry)
 
     def residual(self, x: Floats) -> Floats:
-        """Predicted less observed (m,), over sigma."""
-        raw, _, _, points, values = self._evaluated(x)
+        """Predicted minus observed values (m,), divided by sigma."""
+        raw, _, _, points, values = self._readings_and_geometry(x)
         gap = raw - self.recording.readings
         gap[:, 1:] = wrap_angle(gap[:, 1:])
         lengths = (self._gauge.predict(points) - self._gauge.lengths) / self._gauge.total_sigmas
@@ -116,7 +116,7 @@ class DenseProblem:
 
     def jacobian(self, x: Floats) -> Floats:
         """Derivative (m, K) of the residual."""
-        by_point, by_value, arm, turn, points, values = self._linearised(x)
+        by_point, by_value, arm, turn, points, values = self._design_and_geometry(x)
         by_target = by_point @ np.swapaxes(turn, 1, 2) / self._sigma[:, :, None]
         by_pose = np.concatenate([-by_target, by_target @ cross_matrix(arm)], axis=2)
         n, (poses, targets) = len(arm), (6 * (len(self._start[0]) - 1), points.size)
@@ -145,7 +145,7 @@ Solver = Callable[[DenseProblem], Floats]
 
 
 def numpy_gauss_newton(problem: DenseProblem) -> Floats:
-    """Plain Gauss-Newton on the normal equations."""
+    """Solution (K,) by Gauss-Newton iterations on the normal equations."""
     x = np.zeros(problem.size)
     for _ in range(20):
         design = problem.jacobian(x)
@@ -159,7 +159,7 @@ def numpy_gauss_newton(problem: DenseProblem) -> Floats:
 
 
 def scipy_analytic(problem: DenseProblem) -> Floats:
-    """`scipy.optimize.least_squares` with the analytic Jacobian and scaled unknowns, by its fastest method."""
+    """Solution (K,) by `scipy.optimize.least_squares`, its fastest method, analytic Jacobian and scaled unknowns."""
     start = np.zeros(problem.size)
     scale = 1.0 / np.linalg.norm(problem.jacobian(start), axis=0)
     solution = least_squares(
@@ -176,14 +176,17 @@ def scipy_analytic(problem: DenseProblem) -> Floats:
 
 
 def scipy_differences(problem: DenseProblem) -> Floats:
-    """The same with finite differences; only `trf` comes within 0.001 sigma (`lm` ends 0.1 sigma away)."""
+    """Solution (K,) by `scipy.optimize.least_squares` with finite differences.
+
+    Only `trf` ends within 0.001 sigma of the optimum; `lm` ends at a distance of 0.1 sigma.
+    """
     settings = {"x_scale": "jac", "ftol": TOLERANCE, "xtol": TOLERANCE, "gtol": TOLERANCE}
     x: Floats = least_squares(problem.residual, np.zeros(problem.size), jac="2-point", **settings).x
     return x
 
 
 def pyceres_solver() -> Solver | None:
-    """Ceres with one residual block and the analytic Jacobian; None where pyceres is not installed."""
+    """Ceres solver with one residual block and the analytic Jacobian; None if pyceres is not installed."""
     try:
         import pyceres
     except ImportError:

@@ -1,9 +1,9 @@
-"""Thirty commands, run by this checkout and by another: the numbers should be the same.
+"""Comparison of the numbers that thirty commands write in this checkout and in another one.
 
     python -m benchmarks.same_numbers ../other-checkout [--keep build/same]
 
-Each checkout has a folder of its own; every number of every JSON and CSV file that both wrote is compared. The worst
-of those that differ by more than one in a million is listed with its file and place.
+The commands of each checkout run in a separate folder. All numbers of all JSON and CSV files that both checkouts write
+are compared. For each file with differences above one part per million, the largest difference is listed.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def run(checkout: Path, folder: Path) -> dict[str, int]:
 
 
 def numbers(value: object, key: str = "") -> Iterator[tuple[str, float]]:
-    """Every number of a JSON value with the path of keys that leads to it."""
+    """Path of keys and value of every number in a JSON value."""
     if isinstance(value, dict):
         for name, inner in value.items():
             yield from numbers(inner, f"{key}.{name}" if key else name)
@@ -79,7 +79,7 @@ def numbers(value: object, key: str = "") -> Iterator[tuple[str, float]]:
 
 
 def numbers_of(path: Path) -> dict[str, float]:
-    """Every number of a JSON or CSV file by its place."""
+    """Numbers of a JSON or CSV file, by their location."""
     if path.suffix == ".json":
         return dict(numbers(json.loads(path.read_text(encoding="utf-8"))))
     values = {}
@@ -94,7 +94,7 @@ def numbers_of(path: Path) -> dict[str, float]:
 
 
 def differences(ours: Path, theirs: Path) -> Iterator[str]:
-    """A line for each file whose numbers differ, with the worst place."""
+    """Line for each file whose numbers differ, with the location of the largest relative difference."""
     for path in sorted(theirs.rglob("*")):
         if path.suffix not in (".json", ".csv") or path.name == "manifest.json":
             continue
@@ -111,22 +111,22 @@ def differences(ours: Path, theirs: Path) -> Iterator[str]:
                 worst, where = abs(old[key] - new[key]) / scale, key
         gone = len(old) - len(shared)
         if where or gone:
-            change = f"{where}: {old[where]:.9g} was, {new[where]:.9g} is" if where else "same where both have it"
-            yield f"{name}: {change}" + (f"; {gone} of {len(old)} keys are gone" if gone else "")
+            change = f"{where}: {old[where]:.9g} before, {new[where]:.9g} now" if where else "common numbers are equal"
+            yield f"{name}: {change}" + (f"; {gone} of {len(old)} keys are missing" if gone else "")
 
 
 def main() -> int:
-    """Run both, print what differs; status 1 where anything does."""
+    """Run both checkouts, and print the differences; the exit status is 1 if there are any."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("other", type=Path)
     parser.add_argument("--keep", type=Path)
-    given = parser.parse_args()
+    options = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
-        folder = given.keep or Path(scratch)
-        theirs, ours = run(given.other.resolve(), folder / "other"), run(HERE, folder / "this")
-        lines = [f"{c}: status {theirs[c]} was, {ours[c]} is" for c in theirs if theirs[c] or ours[c]]
+        folder = options.keep or Path(scratch)
+        theirs, ours = run(options.other.resolve(), folder / "other"), run(HERE, folder / "this")
+        lines = [f"{c}: exit status {theirs[c]} before, {ours[c]} now" for c in theirs if theirs[c] or ours[c]]
         lines += differences(folder / "this", folder / "other")
-    print("\n".join(lines) or f"the same numbers in {len(theirs)} commands")
+    print("\n".join(lines) or f"all numbers of {len(theirs)} commands are equal")
     return 1 if lines else 0
 
 

@@ -1,1 +1,1 @@
-"""Questions asked of ltsim and the paper: `python -m experiments` lists them, `python -m experiments 02` runs one."""
+"""Experiments about ltsim and the paper: `python -m experiments` lists them, `python -m experiments 02` runs one."""

@@ -1,13 +1,14 @@
-"""The reflector's bench test: a roundness table, a probe and an interferometer give the error against incidence.
+"""Simulated bench test of a reflector: range error as a function of incidence, with a roundness table and two sensors.
 
-The reflector stands on the table and is turned through +-30 deg; an interferometer looks along -x and records the
-length, a probe the displacement of the sphere's surface (Sensors 2021, 21, 7479, sections 2.2 and 3.1, fig. 2, 8, 9).
-Turned by alpha, a sphere off the table's axis by c changes the length by -(c_x cos alpha - c_y sin alpha). That is no
-error of the reflector, but it looks like one: 26 um to the side are 13 um at 30 deg. The probe tells it: the first
-harmonic of its record is the eccentricity, higher ones are the roundness of the sphere.
+The reflector stands on the roundness table, which turns by up to +-30 deg. An interferometer looks along -x and records
+the length; a probe records the displacement of the surface of the sphere (Sensors 2021, 21, 7479, sections 2.2 and 3.1,
+fig. 2, 8, 9). If the center of the sphere has an offset c from the axis of the table, a turn by alpha changes the
+length by -(c_x cos alpha - c_y sin alpha). This change is not an error of the reflector, but looks like one: an offset
+of 26 um to the side changes the length by 13 um at 30 deg. The probe separates the two: the first harmonic of its
+record is the eccentricity, higher harmonics are the roundness of the sphere.
 
-An interferometer records changes only: the table is found less its value at 0 deg, a constant that a tracker's range
-offset takes up.
+An interferometer records only changes of length. The table of range errors is therefore known except for a constant,
+its value at 0 deg, which the range offset of a tracker absorbs.
 """
 
 from dataclasses import dataclass, field
@@ -23,47 +24,53 @@ from ltsim.physics.effects.smr_incidence import INCIDENCE_TABLE_ANGLES, PAPER_IN
 
 FULL_TURN = np.arange(0.0, 360.0, 7.5) * DEGREE
 PROBE = 90.0 * DEGREE
-"""Where the probe stands, from the interferometer."""
+"""Direction of the probe, measured from the interferometer [rad]."""
 MIDDLE = int(np.argmin(np.abs(INCIDENCE_TABLE_ANGLES)))
 LOBES = (2, 3, 5)
-"""Lobes of the sphere's out-of-roundness."""
+"""Numbers of lobes of the sphere's deviation from roundness."""
 
 
 @dataclass(frozen=True)
 class BenchTest:
-    """What is true on the bench; SI."""
+    """True values of a bench test, in SI units."""
 
     table: Floats = field(default_factory=lambda: np.array(PAPER_INCIDENCE_RANGE_ERRORS))
-    """(9,) [m]: range error of the reflector (reading - truth, of the sphere's centre) at `INCIDENCE_TABLE_ANGLES`."""
+    """(9,) [m] Range error of the reflector (reading minus truth, at the centre of the sphere) at
+    `INCIDENCE_TABLE_ANGLES`.
+    """
     eccentricity: Floats = field(default_factory=lambda: np.zeros(2))
-    """(2,) [m]: sphere's centre off the table's axis at 0 deg: towards the interferometer, and to the side."""
+    """(2,) [m] Offset of the sphere's centre from the axis of the table at 0 deg: towards the interferometer, and to
+    the side.
+    """
     roundness: float = 0.3 * MICROMETRE
-    """[m]: amplitude of each of the `LOBES` of the sphere."""
+    """[m] Amplitude of the sphere's deviation from roundness for each number of `LOBES`."""
     probe_angles: Floats = field(default_factory=lambda: FULL_TURN.copy())
-    """(k,) [rad]: turns of the table at which the probe is read."""
+    """(k,) [rad] Angles of the table at which the probe is read."""
     probe_sigma: float = 0.1 * MICROMETRE
     length_sigma: float = 0.1 * MICROMETRE
-    """[m]: one standard deviation of the probe with the table's run-out, and of the interferometer."""
+    """[m] Standard deviations: of the probe including the run-out of the table (`probe_sigma`), of the interferometer
+    (`length_sigma`).
+    """
 
     def __post_init__(self) -> None:
         if len(self.table) != len(INCIDENCE_TABLE_ANGLES):
             raise InputError(
-                f"the table holds {len(self.table)} errors for {len(INCIDENCE_TABLE_ANGLES)} angles; give one each"
+                f"the table has {len(self.table)} errors for {len(INCIDENCE_TABLE_ANGLES)} angles; give one per angle"
             )
         if len(self.probe_angles) < 3:
-            raise InputError(f"the probe is read at {len(self.probe_angles)} angles; the eccentricity needs 3 or more")
+            raise InputError(f"the probe is read at {len(self.probe_angles)} angles; read it at 3 or more")
 
 
 def vertex_table(axial: float, side: float, angles: Floats = INCIDENCE_TABLE_ANGLES) -> Floats:
-    """Range error (a,) [m] at `angles` of a vertex off the sphere's centre by `axial` and `side` [m]."""
+    """Range error (a,) [m] at `angles` of a vertex with offsets `axial` and `side` [m] from the sphere's centre."""
     return eccentricity_design_matrix(angles) @ np.array([axial, side])
 
 
 def measure_bench(bench: BenchTest, seed: int, *key: str | int) -> ReflectorBenchReadings:
-    """Do the test once: lengths at the table's angles, displacements of the surface at the probe's."""
+    """Readings of one simulated test: lengths at angles of the table, displacements at angles of the probe."""
 
-    def noise(what: str, count: int) -> Floats:
-        return random_stream(seed, *key, "bench", what).standard_normal(count)
+    def noise(quantity: str, count: int) -> Floats:
+        return random_stream(seed, *key, "bench", quantity).standard_normal(count)
 
     lengths = bench.table + eccentricity_design_matrix(INCIDENCE_TABLE_ANGLES) @ bench.eccentricity
     turned = bench.probe_angles - PROBE

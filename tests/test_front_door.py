@@ -81,9 +81,9 @@ def test_every_function_has_an_example(name: str):
 def test_the_examples_say_what_they_say(name: str, tmp_path: Path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("small-plan.toml").write_text(SMALL_PLAN)
-    said: list[str] = []
-    failed = doctest.DocTestRunner().run(EXAMPLES[name], out=said.append).failed
-    assert not failed, "".join(said)
+    lines: list[str] = []
+    failed = doctest.DocTestRunner().run(EXAMPLES[name], out=lines.append).failed
+    assert not failed, "".join(lines)
 
 
 def test_a_table_that_does_not_exist_is_answered_with_those_that_do(recording):
@@ -161,7 +161,7 @@ def test_a_campaign_that_is_no_file_needs_a_folder():
         lt.campaign({"format": "ltsim-campaign/1"})
 
 
-def test_a_bare_text_is_one_name_and_effects_are_objects_or_words(recording):
+def test_a_bare_text_is_a_single_name_and_effects_are_objects_or_words(recording):
     words = lt.calibrate(recording, with_effects="index-drift:S3", parameters="beam-tilt", advise=False)
     made = lt.calibrate(recording, with_effects=lt.Effect("index-drift", stations="S3"), parameters=["beam-tilt"])
     assert words.effects == made.effects
@@ -171,13 +171,13 @@ def test_a_bare_text_is_one_name_and_effects_are_objects_or_words(recording):
         lt.Effect("index-drift", colour="red")
 
 
-def test_an_effect_of_a_class_of_ones_own_is_fitted(recording):
+def test_an_effect_of_a_users_class_is_fitted(recording):
     class Mine(lt.effects.find_effect("index-drift")):  # type: ignore[misc]
         """An index drift, by another class."""
 
-    found = lt.calibrate(recording, with_effects=Mine(stations=("S3",)), advise=False)
+    calibration = lt.calibrate(recording, with_effects=Mine(stations=("S3",)), advise=False)
     words = lt.calibrate(recording, with_effects="index-drift:S3", advise=False)
-    assert found.effects[0].chi2_drop == pytest.approx(words.effects[0].chi2_drop)
+    assert calibration.effects[0].chi2_drop == pytest.approx(words.effects[0].chi2_drop)
 
 
 def test_results_are_read_back_whatever_wrote_them(recording, tmp_path: Path):
@@ -213,6 +213,6 @@ def test_an_option_is_called_what_its_reader_calls_it(recording, tmp_path: Path,
         (lambda rec, cal: lt.Effect("index-drift", index_drft=3), "only a simulation accepts, are index-drift"),
     ],
 )
-def test_what_is_no_input_gets_one_sentence(recording, call, says: str):
+def test_invalid_inputs_are_refused_in_a_sentence(recording, call, says: str):
     with pytest.raises(LtsimError, match=says):
         call(recording, lt.calibrate(recording, advise=False))

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from experiments.common import ERROR, NEW_POINTS, Made, Options, cells_of, summary, write_figure, write_table
+from experiments.common import ERROR, NEW_POINTS, Options, RunRecord, cells_of, summary, write_figure, write_table
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.evaluation.clouds import align_to_points
 from ltsim.campaigns.shard_rows import CellContext, TrialBatchRowBuilder
@@ -23,35 +23,39 @@ from ltsim.reports.figures.campaign import SweepPoint, sweep_panels_figure
 
 PERCENT = (0.0, 1.0, 2.0)
 SIZE = (100 * MICROMETRE, 500 * MICROMETRE)
-"""Of an outlier, as a shift at the reflector; larger ones are screened out before any method sees them."""
-MOST_REMOVED = 60
+"""Smallest and largest outlier [m], as a displacement of the reflector; ltsim rejects larger ones before calibration.
+"""
+MAX_REMOVED_READINGS = 60
 
 
 class WithoutOutliers:
-    """The network adjustment; the reading with the largest w-test goes, one after the other, while any is too large."""
+    """Network adjustment with iterative data snooping.
+
+    The reading with the largest w-test is rejected until none is too large.
+    """
 
     def __init__(self, truth: TrueNetwork) -> None:
         self.truth = truth
         self.construction: GeometricErrorModel = misalignment_construction()
         self.effects: tuple[Effect, ...] = ()
 
-    def calibrate(self, block: TrialBatch, wanted: Ints) -> CalibratedBatch:
-        """Calibrate a block trial by trial."""
+    def calibrate(self, block: TrialBatch, trial_indices: Ints) -> CalibratedBatch:
+        """Calibration of each trial of a batch, one after the other."""
         count, true = block.reading_deviations.shape[2], self.truth.state.target_points
         values, points = np.zeros((1, self.construction.n_parameters, count)), np.zeros((*true.shape, count))
         chi2 = np.zeros(count)
-        for i in wanted:
-            adjustment = self.cleaned(recording_of_trial(self.truth, block, int(i)))
+        for i in trial_indices:
+            adjustment = self.adjust_without_outliers(recording_of_trial(self.truth, block, int(i)))
             values[0, :, i] = adjustment.state.instrument_parameters[0]
             points[:, :, i] = align_to_points(adjustment.state.target_points, true) - true
             chi2[i] = adjustment.chi2
         return CalibratedBatch(values, np.full(values.shape[:2], np.nan), points, chi2, np.zeros(count, dtype=np.int64))
 
-    def cleaned(self, recording: Recording) -> Adjustment:
-        """The adjustment that no reading contradicts any more."""
+    def adjust_without_outliers(self, recording: Recording) -> Adjustment:
+        """Adjustment of a recording after the rejection of all flagged readings."""
         use = np.ones(recording.readings.shape, dtype=bool)
         adjustment = adjust(recording, self.construction, reading_mask=use)
-        for _ in range(MOST_REMOVED):
+        for _ in range(MAX_REMOVED_READINGS):
             flagged = adjustment.flagged_readings()
             if not flagged:
                 break
@@ -60,12 +64,15 @@ class WithoutOutliers:
         return adjustment
 
     def difference(self, block: TrialBatch, trial: int, calibrated: CalibratedBatch) -> float:
-        """It is the full solver."""
+        """Difference from the single-trial solver; NaN, because this method is the single-trial solver."""
         return float("nan")
 
 
 def with_outliers(truth: TrueNetwork, block: TrialBatch, percent: float, seed: int) -> TrialBatch:
-    """The block with some readings shifted; the same readings are hit first whatever the share."""
+    """Batch in which a percentage of the readings is shifted.
+
+    A larger percentage shifts the same readings and further ones.
+    """
     draw = random_stream(seed, "outliers", int(block.trial_numbers[0]))
     shape = block.reading_deviations.shape
     chance, sign = draw.random(shape), draw.choice([-1.0, 1.0], shape)
@@ -78,23 +85,24 @@ def with_outliers(truth: TrueNetwork, block: TrialBatch, percent: float, seed: i
 
 
 def errors_of(campaign: CampaignFile, cell: CampaignCell, percent: float) -> dict[str, pd.DataFrame]:
-    """Columns by method, with a share of outliers."""
-    ready = CellContext(campaign, cell.scenario, cell.validation_scenario)
+    """Errors of each trial by method, with a percentage of outliers."""
+    context = CellContext(campaign, cell.scenario, cell.validation_scenario)
     parts: dict[str, list[pd.DataFrame]] = {}
-    for here, calibrators, clean in ready.trial_batches(0, campaign.trials):
-        block = with_outliers(here.true_network, clean, percent, campaign.seed)
-        wanted = np.flatnonzero(block.trial_numbers < campaign.trials)
-        work = TrialBatchRowBuilder(campaign, here, block, ready.validation_evaluator, wanted, wanted[:0])
-        named = {method.title: calibrator for method, calibrator in zip(campaign.methods, calibrators, strict=True)}
-        for title, calibrator in (named | {"network, outliers removed": WithoutOutliers(here.true_network)}).items():
-            columns = {name: values[wanted] for name, values in work.method_columns(calibrator).items()}
+    for evaluator, calibrators, clean in context.trial_batches(0, campaign.trials):
+        truth = evaluator.true_network
+        block = with_outliers(truth, clean, percent, campaign.seed)
+        chosen = np.flatnonzero(block.trial_numbers < campaign.trials)
+        work = TrialBatchRowBuilder(campaign, evaluator, block, context.validation_evaluator, chosen, chosen[:0])
+        by_title = {method.title: calibrator for method, calibrator in zip(campaign.methods, calibrators, strict=True)}
+        for title, calibrator in (by_title | {"network, outliers removed": WithoutOutliers(truth)}).items():
+            columns = {name: values[chosen] for name, values in work.method_columns(calibrator).items()}
             parts.setdefault(title, []).append(pd.DataFrame(columns))
     return {title: pd.concat(tables) for title, tables in parts.items()}
 
 
-def run(given: Options) -> Made:
-    campaign, (cell,) = cells_of(given)
-    columns_by_percent = list(run_parallel(errors_of, [(campaign, cell, percent) for percent in PERCENT], given.jobs))
+def run(options: Options) -> RunRecord:
+    campaign, (cell,) = cells_of(options)
+    columns_by_percent = list(run_parallel(errors_of, [(campaign, cell, percent) for percent in PERCENT], options.jobs))
     table, rows = [], []
     for percent, methods in zip(PERCENT, columns_by_percent, strict=True):
         for title, columns in methods.items():
@@ -103,9 +111,9 @@ def run(given: Options) -> Made:
             targets = {"target_error_um": summary(columns["target_error_um"])["mean"]}
             table.append(about | {f"new_point_{name}": value for name, value in new.items()} | targets)
             rows.append(SweepPoint(percent, title, "", *(new[k] for k in ("mean", "low", "high", "p5", "p95"))))
-    write_table(given.out / "methods.csv", table)
+    write_table(options.out / "methods.csv", table)
     write_figure(
-        given.out / "new_points.svg",
+        options.out / "new_points.svg",
         sweep_panels_figure(rows, statistic_title=NEW_POINTS, x_title="outliers [% of the readings]"),
     )
-    return Made(campaign.seed, campaign.trials)
+    return RunRecord(campaign.seed, campaign.trials)

@@ -1,4 +1,4 @@
-"""What others published about the recordings beside the checkout: GNU Gama's results, the scanner's true parameters."""
+"""Published results for recordings of other authors: adjustments by GNU Gama, true parameters of a scanner."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,23 +22,23 @@ GAMA = ("local_3d", "2020-barta-phase_0-1TK", "2019-prager")
 
 @dataclass(frozen=True)
 class GamaResult:
-    """An adjustment by gama-local; y of left-handed systems is turned over, as the reader does it."""
+    """Result of an adjustment by gama-local; y of left-handed systems has its sign changed, as in ltsim's reader."""
 
     names: tuple[str, ...]
     axis: Floats
-    """Point and axis of each coordinate (k,)."""
+    """Axis (0, 1, 2) of each coordinate (k,), at the point of `names`."""
     value: Floats
     sigma: Floats
-    """(k,) [m]."""
+    """Standard deviation of each coordinate (k,) [m]."""
     square_sum: float
     dof: int
     apriori: float
     aposteriori: float
-    """Of sigma0."""
+    """Standard deviation of unit weight (sigma0), estimated from the residuals."""
 
 
 def gama_result(name: str, folder: str | Path = "gama-3d-networks") -> GamaResult:
-    """Read the published result of one network."""
+    """Published result of GNU Gama for one network."""
     root: Element = parse(RECORDINGS / folder / f"{name}.xml").getroot()
     axes = root.find(".//{*}network-general-parameters")
     turned = axes is None or axes.get("axes-xy", "ne") in MIRRORED_AXES
@@ -62,9 +62,10 @@ def gama_result(name: str, folder: str | Path = "gama-3d-networks") -> GamaResul
 
 
 def coordinates_and_sigmas(ours: Adjustment, theirs: GamaResult) -> tuple[Floats, Floats]:
-    """Our value and its standard deviation (k,) [m], by the stated noise, of each of their coordinates.
+    """Coordinates of ltsim and their standard deviations (k,) [m] for each coordinate of GNU Gama.
 
-    Theirs are of targets, or of marks under stations.
+    The standard deviations follow from the declared noise. The coordinates of GNU Gama belong to targets, or to marks
+    below stations.
     """
     recording, marks, entries = ours.recording, ours.problem.marks, []
     for name, axis in zip(theirs.names, theirs.axis, strict=True):
@@ -80,20 +81,22 @@ def coordinates_and_sigmas(ours: Adjustment, theirs: GamaResult) -> tuple[Floats
 
 
 SCANNER_TRUTH = {"range-offset": 4000.0, "beam-tilt": -1000.0, "transit-tilt": -1000.0, "vertical-index": 2000.0}
-"""[um, urad] The exercise's a0 = -4 mm, b1 = 1, b2 = -1, c0 = -2 mrad, which it adds to a reading: corrections here."""
+"""True parameters [um, urad] as corrections. The exercise defines them as errors that are added to a reading: a0 = -4
+mm, b1 = 1, b2 = -1, c0 = -2 mrad.
+"""
 ROUNDING = 1e-4 / np.sqrt(12)
-"""[m] Standard deviation of coordinates printed to a tenth of a millimetre."""
+"""[m] Standard deviation of coordinates that are printed with a resolution of 0.1 mm."""
 
 
 def scanner(has_points: bool = True) -> Recording:
-    """The two scans of the scanner exercise, as readings; object points known or not."""
+    """Two scans of the scanner exercise as a recording, with or without reference coordinates of the object points."""
     folder = RECORDINGS / "eth-tls-calibration-simulated"
     scans = [_points(folder / f"PPE_TLS_T1_Scan{i}.dat") for i in (1, 2)]
     return scanner_recording(scans, _points(folder / "PPE_TLS_T1_OP.txt"), has_points)
 
 
 def scanner_recording(scans: list[dict[str, Floats]], objects: dict[str, Floats], has_points: bool) -> Recording:
-    """Scanned points in the scanner's frame as a recording; noise is the rounding of coordinates."""
+    """Recording of points in the frame of the scanner; its noise is the rounding of the printed coordinates."""
     rows = [(s, n, p) for s, scan in enumerate(scans) for n, p in scan.items()]
     points = np.array([p for _, _, p in rows])
     readings, names = to_polar(points), tuple(objects)
@@ -111,7 +114,7 @@ def scanner_recording(scans: list[dict[str, Floats]], objects: dict[str, Floats]
 
 
 def _points(file: Path) -> dict[str, Floats]:
-    """Number and coordinates [m] of every line that begins with four numbers."""
+    """Point name and coordinates [m] of every line that begins with four numbers."""
     points = {}
     for line in file.read_text(encoding="latin-1").splitlines():
         words = line.partition("%")[0].split()

@@ -1,9 +1,9 @@
 """Adjustments of real networks: GNU Gama, CERN, a storage ring, a total station; a simulated scanner with its truth.
 
-    python -m experiments 04 [gama] [own] [cern] [ring] [geoeasy] [scanner]
+    python -m experiments 04 [gama] [gama-tests] [cern] [ring] [geoeasy] [scanner]
 
-Reads ../shared/recordings beside the checkout, and ../gama, the repository of GNU Gama, if it is there; writes only
-figures found: rows and set-ups are numbers in the order of the file.
+The steps read ../shared/recordings and, if it exists, the repository of GNU Gama in ../gama. They write only results:
+rows and set-ups are numbered in the order of the file.
 """
 
 import time
@@ -13,7 +13,7 @@ import numpy as np
 from scipy import stats
 from scipy.optimize import least_squares
 
-from experiments.common import RECORDINGS, Made, Options, run_steps, show_table, tell
+from experiments.common import RECORDINGS, Options, RunRecord, print_line, run_steps, show_table
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.network import calibrate_network
@@ -33,37 +33,37 @@ from .published import GAMA, SCANNER_TRUTH, coordinates_and_sigmas, gama_result,
 
 GAMA_TESTS = RECORDINGS.parents[1] / "gama" / "tests"
 AGREE_UM = 5.0
-"""Half of the last digit that gama-local prints of a coordinate."""
+"""Largest difference [um] of coordinates that agree: half of the last digit that gama-local prints."""
 UNIT = (MILLIMETRE, ARCSECOND, ARCSECOND)
 Rows = list[dict[str, object]]
 
 
 def gama(out: Path) -> None:
-    """Coordinates, sigma0, standard deviations and sums of squares beside those that gama-local published."""
+    """Compare coordinates, sigma0, standard deviations and sums of squares with those that gama-local published."""
     rows: Rows = []
     for name in GAMA:
         recording, theirs = read(RECORDINGS / "gama-3d-networks" / f"{name}.gkf"), gama_result(name)
         ours = adjust(recording)
         reduced = adjust(to_marks(ours), start_state=ours.state)
         unit = theirs.apriori**2
-        off, between = (100 * np.abs(sigma_ratio(a, name) - 1).max() for a in (ours, reduced))
+        percent, reduced_percent = (100 * np.abs(sigma_ratio(a, name) - 1).max() for a in (ours, reduced))
         rows.append({
             "network": name, "dof": ours.dof, "dof_gama": theirs.dof,
             "sigma0": f"{ours.sigma0 * theirs.apriori:.5f}", "sigma0_gama": f"{theirs.aposteriori:.5f}",
             "largest_difference_mm": f"{1e3 * np.abs(difference(ours, name)).max():.6f}",
             "sum_of_squares": f"{ours.chi2 * unit:.5f}", "sum_of_squares_gama": f"{theirs.square_sum:.5f}",
             "at_the_coordinates_of_gama": f"{best_turns(ours, name) * unit:.5f}",
-            "sigma_ratio_off_percent": f"{off:.3f}", "by_lines_between_marks_percent": f"{between:.3f}",
+            "sigma_ratio_off_percent": f"{percent:.3f}", "by_lines_between_marks_percent": f"{reduced_percent:.3f}",
         })  # fmt: skip
     show_table(out / "gama.csv", rows)
 
 
 def gama_tests(out: Path) -> None:
-    """Networks of GNU Gama's own tests beside the results that it publishes of them, where its repository is there."""
+    """Compare the networks of GNU Gama's test suite with the published results; skipped without its repository."""
     outcomes: dict[str, list[tuple[str, float]]] = {}
     files = sorted(file for file in GAMA_TESTS.rglob("*.gkf") if file.with_suffix(".xml").exists())
     if not files:
-        tell(f"gama-tests: left out, {GAMA_TESTS.parents[1].name} is not beside the checkout")
+        print_line(f"gama-tests: skipped, because {GAMA_TESTS} contains no networks; clone the repository of GNU Gama")
         return
     for file in files:
         try:
@@ -73,33 +73,36 @@ def gama_tests(out: Path) -> None:
                 (file.stem, 0.0)
             )
             continue
-        off = 1e6 * float(np.abs(coordinates_and_sigmas(ours, theirs)[0] - theirs.value).max())
-        agree = ours.solution.has_converged and off < AGREE_UM
-        outcomes.setdefault("agree" if agree else "differ", []).append((file.stem, off))
+        largest_um = 1e6 * float(np.abs(coordinates_and_sigmas(ours, theirs)[0] - theirs.value).max())
+        agree = ours.solution.has_converged and largest_um < AGREE_UM
+        outcomes.setdefault("agree" if agree else "differ", []).append((file.stem, largest_um))
     show_table(out / "gama_tests.csv", [
         {
-            "what": what, "networks": len(entries), "worst_um": f"{max(off for _, off in entries):.1f}",
-            "names": " ".join(sorted(name for name, _ in entries)) if what == "differ" else "",
+            "what": outcome, "networks": len(entries), "worst_um": f"{max(size for _, size in entries):.1f}",
+            "names": " ".join(sorted(name for name, _ in entries)) if outcome == "differ" else "",
         }
-        for what, entries in sorted(outcomes.items())
+        for outcome, entries in sorted(outcomes.items())
     ])  # fmt: skip
 
 
 def difference(ours: Adjustment, name: str) -> np.ndarray:
-    """Coordinates less those of gama-local (k,) [m]."""
+    """Coordinates of ltsim minus those of gama-local (k,) [m]."""
     theirs = gama_result(name)
     return coordinates_and_sigmas(ours, theirs)[0] - theirs.value
 
 
 def sigma_ratio(ours: Adjustment, name: str) -> np.ndarray:
-    """Standard deviations over those of gama-local, both by the stated noise (k,)."""
+    """Standard deviations of ltsim divided by those of gama-local (k,), both with the declared noise."""
     theirs = gama_result(name)
     used = theirs.aposteriori / theirs.apriori if name == "2019-prager" else 1.0
     return coordinates_and_sigmas(ours, theirs)[1] * used / theirs.sigma
 
 
 def to_marks(ours: Adjustment) -> Recording:
-    """The recording with readings between marks instead of between instrument and prism, as gama-local reduces them."""
+    """Recording with readings reduced to the line between marks.
+
+    This is the reduction of gama-local; the original readings belong to the line between instrument and prism.
+    """
     recording = ours.recording
     targets = {n: t.model_copy(update={"height_mm": 0.0}) for n, t in recording.setup.targets.items()}
     stations = {n: s.model_copy(update={"instrument_height_mm": 0.0}) for n, s in recording.setup.stations.items()}
@@ -115,7 +118,10 @@ def to_marks(ours: Adjustment) -> Recording:
 
 
 def best_turns(ours: Adjustment, name: str) -> float:
-    """Least sum of squares with all points at the coordinates that gama-local printed."""
+    """Smallest sum of squares if only orientations are adjusted.
+
+    All points have the coordinates that gama-local printed.
+    """
     theirs, recording, marks = gama_result(name), ours.recording, ours.problem.marks
     points, position = ours.state.target_points.copy(), ours.state.station_positions.copy()
     for point, axis, value in zip(theirs.names, theirs.axis, theirs.value, strict=True):
@@ -144,7 +150,10 @@ CERN = {
 
 
 def cern(out: Path) -> None:
-    """Adjusted as stated, robustly, and with the noise of each instrument; what does not fit, reading by reading."""
+    """Adjust networks of CERN with the declared noise, robustly, and with estimated noise.
+
+    List the rejected readings.
+    """
     summary, misfits, noise = [], [], []
     for name, file in CERN.items():
         recording = read(RECORDINGS / "cern-lgc-trackers" / file)
@@ -153,7 +162,7 @@ def cern(out: Path) -> None:
             adjustment = adjust(recording, **options)
             used = time.process_time() - start
             summary.append({"network": name, "way": way, **state_of(adjustment), "seconds": f"{used:.2f}"})
-        misfits += [{"network": name, **row} for row in what_does_not_fit(adjustment)]
+        misfits += [{"network": name, **row} for row in rejected_reading_rows(adjustment)]
         noise += [{"network": name, **row} for row in components(adjustment)]
     show_table(out / "cern.csv", summary)
     show_table(out / "cern_misfits.csv", misfits)
@@ -168,7 +177,7 @@ WAYS: dict[str, dict[str, object]] = {
 
 
 def state_of(adjustment: Adjustment) -> dict[str, object]:
-    """The figures of an adjustment."""
+    """Size of an adjustment, rejected readings, sigma0, and numbers of outliers by w-test and tau-test."""
     recording = adjustment.recording
     return {
         "set_ups": len(recording.stations), "targets": len(recording.targets), "pointings": len(recording),
@@ -179,8 +188,8 @@ def state_of(adjustment: Adjustment) -> dict[str, object]:
     }  # fmt: skip
 
 
-def what_does_not_fit(adjustment: Adjustment) -> Rows:
-    """Readings left out, with the error they show against the network without them."""
+def rejected_reading_rows(adjustment: Adjustment) -> Rows:
+    """Row for each rejected reading, with its difference from the adjusted network."""
     rows: Rows = []
     for i, j in np.argwhere(adjustment.is_rejected_reading):
         miss, range_ = adjustment.residuals[i, j], adjustment.recording.readings[i, 0]
@@ -194,7 +203,7 @@ def what_does_not_fit(adjustment: Adjustment) -> Rows:
 
 
 def components(adjustment: Adjustment) -> Rows:
-    """Variance components with instruments numbered."""
+    """Variance components by instrument number and observable."""
     number = {name: i + 1 for i, name in enumerate(adjustment.recording.instruments)}
     return [{"instrument": number.get(c.instrument, "all"), "reading": c.observable, "factor": f"{c.noise_factor:.3f}",
              "sigma": f"{c.noise_factor_sigma:.3f}", "redundancy": f"{c.redundancy:.1f}"}
@@ -203,11 +212,14 @@ def components(adjustment: Adjustment) -> Rows:
 
 RING = "field/esrf.lgc2"
 EDGES_M = (2, 3, 4, 5, 6, 8, 10, 12, 15, 18, 22, 27, 32)
-CLEAR = 8.0
+CLEAR_SIGMAS = 8.0
 
 
 def ring(out: Path) -> None:
-    """How far what each tracker leaves by distance in half of its set-ups foretells what it leaves in the others."""
+    """Test whether mean residuals by distance predict the residuals of other set-ups of the same tracker.
+
+    The means of half of the set-ups of a tracker predict the residuals of the other half.
+    """
     recording = read(RECORDINGS / RING)
     space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction()))
     residuals = np.full(space.is_used_reading.shape, np.nan)
@@ -224,23 +236,23 @@ def ring(out: Path) -> None:
         groups = {"distance": bins, "distance, each tracker": 100 * tracker + bins, "tracker": tracker}
         for by, group in groups.items():
             squares = sum(prediction_error(residuals[use, j], group[use], half[use] == k) for k in (0, 1))
-            whole = float(np.sum(residuals[use, j] ** 2))
+            total = float(np.sum(residuals[use, j] ** 2))
             means = [residuals[use & (group == g), j] for g in np.unique(group)]
-            clear = sum(len(m) > 1 and abs(m.mean()) > CLEAR * m.std() / np.sqrt(len(m)) for m in means)
-            rows.append({"observable": observable, "means_by": by, "chi2": f"{whole:.0f}",
-                         "predicted_fraction": f"{1 - squares / whole:.3f}", "means": len(means),
-                         f"beyond_{CLEAR:.0f}_sigma": clear})  # fmt: skip
+            clear = sum(len(m) > 1 and abs(m.mean()) > CLEAR_SIGMAS * m.std() / np.sqrt(len(m)) for m in means)
+            rows.append({"observable": observable, "means_by": by, "chi2": f"{total:.0f}",
+                         "predicted_fraction": f"{1 - squares / total:.3f}", "means": len(means),
+                         f"beyond_{CLEAR_SIGMAS:.0f}_sigma": clear})  # fmt: skip
     show_table(out / "ring.csv", rows)
 
 
 def prediction_error(residuals: np.ndarray, group: np.ndarray, predicted: np.ndarray) -> float:
-    """Sum of squares of residuals that are `asked`, less the means of the others of their group."""
+    """Sum of squares of the `predicted` residuals minus the mean of the other residuals in their group."""
     means = {g: residuals[(group == g) & ~predicted].mean() for g in np.unique(group[~predicted])}
     return float(np.sum((residuals[predicted] - [means.get(g, 0.0) for g in group[predicted]]) ** 2))
 
 
 def geoeasy(out: Path) -> None:
-    """A total station on 22 marks in two faces: noise with and without the instrument's errors."""
+    """Estimate the noise of a total station with 22 set-ups in two faces, with and without instrument parameters."""
     recording = read(RECORDINGS / "geoeasy-total-station-22st" / "network.GSI")
     rows: Rows = []
     for name, built in (("none", ideal_construction()), ("16", misalignment_construction())):
@@ -264,14 +276,17 @@ TRUTH = np.array([SCANNER_TRUTH[p.name] for p in PARAMETERS])
 
 
 def scanner_truth(out: Path) -> None:
-    """Four parameters of a scanner that others simulated, to first order as they did and by the exact chain."""
+    """Compare four estimated parameters of a simulated scanner with their true values.
+
+    The estimates are those of first order, and those with the exact kinematic chain.
+    """
     rows: Rows = []
     for has_points in (True, False):
         recording = scanner(has_points)
-        errors = np.array([fitted(rounded(trial), has_points)[0] - TRUTH for trial in range(80)])
-        estimates, sigma = fitted(recording, has_points)
+        errors = np.array([fit_parameters(rounded_scans(trial), has_points)[0] - TRUTH for trial in range(80)])
+        estimates, sigma = fit_parameters(recording, has_points)
         exact = adjust(recording, misalignment_construction(FIRST_ORDER)).state.instrument_parameters[0] / UNITS
-        made_again = rounded(None) if has_points else without_points(rounded(None))
+        made_again = rounded_scans(None) if has_points else without_points(rounded_scans(None))
         form = adjust(made_again, misalignment_construction(FIRST_ORDER)).state.instrument_parameters[0] / UNITS - TRUTH
         gap = estimates - TRUTH
         joint = float(gap @ np.linalg.solve(np.cov(errors.T), gap))
@@ -290,7 +305,7 @@ def scanner_truth(out: Path) -> None:
 
 
 def choice_of_parameters(has_points: bool) -> Rows:
-    """`ltsim calibrate --parameters` with the four that the exercise has, beside all sixteen."""
+    """Estimates and standard deviations with all sixteen parameters, and with the four of the exercise."""
     recording = scanner(has_points)
     every, four = (
         calibrate_network(recording, recommend_measurements=False, choose_correction=False, parameter_selection=choice)
@@ -310,22 +325,23 @@ def choice_of_parameters(has_points: bool) -> Rows:
     return rows
 
 
-def fitted(recording: Recording, has_points: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Parameters and their standard deviations, to first order."""
+def fit_parameters(recording: Recording, has_points: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Parameters and their standard deviations (4,) [um, urad], to first order."""
     adjustment = adjust(recording if has_points else without_points(recording), effects=FIRST_ORDER)
     return adjustment.state.extra_parameters / UNITS, np.sqrt(np.diag(adjustment.effect_covariance)) / UNITS
 
 
 def without_points(recording: Recording) -> Recording:
-    """The recording with unknown object points."""
+    """Recording without the reference coordinates of the object points."""
     return recording.replace(setup=recording.setup.model_copy(update={"targets": {}}))
 
 
-def rounded(trial: int | None) -> Recording:
-    """The scans made again from the stated truth, rounded to 0.1 mm as the files are; from poses 0.1 mm and mrad off.
+def rounded_scans(trial: int | None) -> Recording:
+    """Scans simulated from the declared truth and rounded to 0.1 mm as in the files.
 
-    The points of a ring have nearly one height and round alike, so that their errors are not independent. Without a
-    trial nothing is moved and nothing rounded.
+    The poses are changed by random 0.1 mm and 0.1 mrad. The points of a ring have nearly the same height and are
+    therefore rounded alike: their errors are correlated. With `trial=None` poses are not changed and coordinates not
+    rounded.
     """
     base = scanner(True)
     start = adjust(base, effects=FIRST_ORDER).state
@@ -352,7 +368,7 @@ STEPS = {
 }
 
 
-def run(given: Options) -> Made:
-    """Run the named steps, or all."""
-    run_steps(given, STEPS)
-    return Made(seed=4)
+def run(options: Options) -> RunRecord:
+    """Run the steps that the command line names, or all steps."""
+    run_steps(options, STEPS)
+    return RunRecord(seed=4)

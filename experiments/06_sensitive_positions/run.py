@@ -6,7 +6,17 @@ from textwrap import fill
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.common import ERROR, NEW_POINTS, Made, Options, Row, campaign, write_figure, write_pairs, write_table
+from experiments.common import (
+    ERROR,
+    NEW_POINTS,
+    Options,
+    Row,
+    RunRecord,
+    campaign,
+    write_figure,
+    write_paired_differences,
+    write_table,
+)
 from ltsim.core.arrays import Floats
 from ltsim.core.units import DEGREE, MICROMETRE
 from ltsim.physics.model.construction import misalignment_construction
@@ -18,13 +28,15 @@ DESIGNS = (
     (5900, 2000, 150), (2000,), (5900,), (5900, 150), (5900, 2000), (150, 2000), (4300, 3200, 1000),
     (150, 970, 1790, 2610, 3440, 4260, 5080, 5900),
 )  # fmt: skip
-"""Heights [mm], dealt to T01, T02, ... in turn; the first are the paper's."""
+"""Heights of reflectors [mm] of each design, assigned cyclically to T01, T02, ...; the first design is that of the
+paper.
+"""
 ELEVATIONS, RANGE_M = tuple(range(-50, 75, 5)), 4.0
 AZIMUTHS = np.arange(0.0, 360.0, 15.0) * DEGREE
 
 
 def displacements(scenario: Scenario, elevation: Floats, distance: float) -> Floats:
-    """(e, p) [m]: rms over azimuth of the shift of a point by one prior sigma of each error."""
+    """(e, p) [m] Displacement of a point by one prior sigma of each error at each elevation, rms over azimuth."""
     built = misalignment_construction()
     grid = np.array([[distance, a, e] for e in elevation for a in AZIMUTHS])
     change = built.reading_design(grid, np.zeros(built.n_parameters))[1]
@@ -36,7 +48,7 @@ def displacements(scenario: Scenario, elevation: Floats, distance: float) -> Flo
 
 
 def sensitivity_rows(scenario: Scenario) -> list[Row]:
-    """A row an error and elevation."""
+    """Row for each instrument error and elevation, with the displacement of a point [um]."""
     moved = displacements(scenario, np.array(ELEVATIONS) * DEGREE, RANGE_M) / MICROMETRE
     return [
         {"error": parameter.name, "elevation_deg": elevation, "shift_um": round(float(moved[i, k]), 3)}
@@ -47,7 +59,7 @@ def sensitivity_rows(scenario: Scenario) -> list[Row]:
 
 @with_figure_style
 def by_elevation(rows: list[Row], distance: float) -> Figure:
-    """Shift of a point against elevation, a line an error; errors with the same line share it."""
+    """Figure of the displacement of a point over elevation; errors with equal displacements share a line."""
     figure = new_figure(4.4)
     ax = figure.subplots()
     lines: dict[tuple[float, ...], list[str]] = {}
@@ -71,23 +83,23 @@ def by_elevation(rows: list[Row], distance: float) -> Figure:
     return figure
 
 
-def run(given: Options) -> Made:
+def run(options: Options) -> RunRecord:
     scenario = load_scenario("paper-workshop")
     rows = sensitivity_rows(scenario)
-    write_table(given.out / "sensitivity.csv", rows)
-    write_figure(given.out / "sensitivity.svg", by_elevation(rows, RANGE_M))
+    write_table(options.out / "sensitivity.csv", rows)
+    write_figure(options.out / "sensitivity.svg", by_elevation(rows, RANGE_M))
     cells = []
     for heights in DESIGNS:
         title = ", ".join(f"{height / 1000:g}" for height in heights) + " m"
         dealt = zip(scenario.targets.items(), cycle(heights), strict=False)
         moved = {f"targets.{name}.position_mm": [*target.position_mm[:2], height] for (name, target), height in dealt}
         cells.append({"title": title if len(heights) <= 3 else f"{len(heights)} heights"} | moved)
-    results = campaign("config.toml", given, cells=cells)
+    results = campaign("config.toml", options, cells=cells)
     figure = cell_rows_figure(sweep_points(results, ERROR, "title"), x_label=NEW_POINTS)
     figure.axes[0].set_ylabel("heights of the reflectors")
-    write_figure(given.out / "designs.svg", figure)
-    # The same instruments, mesh by mesh: the difference from the paper's is known better than either mean.
+    write_figure(options.out / "designs.svg", figure)
+    # All designs use the same instruments, so the difference from the paper's design is more certain than each mean.
     first, *others = [cell["title"] for cell in cells]
     pairs = [results.paired_differences(ERROR, title=(other, first)) for other in others]
-    write_pairs(given.out / "more_than_the_paper.csv", *pairs)
-    return Made(results.manifest.seed, results.manifest.trials)
+    write_paired_differences(options.out / "more_than_the_paper.csv", *pairs)
+    return RunRecord(results.manifest.seed, results.manifest.trials)

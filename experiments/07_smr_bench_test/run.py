@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.common import Made, Options, tell, write_figure, write_table
+from experiments.common import Options, RunRecord, print_line, write_figure, write_table
 from experiments.virtual_bench import MIDDLE, BenchTest, measure_bench, vertex_table
 from ltsim.adjustment.evaluation.bench import ReflectorBenchEstimates, evaluate_reflector_bench, fit_vertex_offset
 from ltsim.core.arrays import Floats
@@ -15,29 +15,32 @@ from ltsim.reports.figures.campaign import SweepPoint, sweep_panels_figure
 
 
 def table_of(reflector: dict[str, Any]) -> Floats:
-    """Range error (9,) [m] of a reflector of the file."""
+    """Range error (9,) [m] of a reflector in `config.toml`."""
     if "range_error_table_um" in reflector:
         return np.array(reflector["range_error_table_um"]) * MICROMETRE
     return vertex_table(reflector.get("axial_um", 0.0) * MICROMETRE, reflector.get("side_um", 0.0) * MICROMETRE)
 
 
 def trial(table: Floats, eccentricity: float, probe: Floats, seed: int, number: int) -> ReflectorBenchEstimates:
-    """One test of a reflector whose sphere is off the table's axis by `eccentricity` [m] in a drawn direction."""
-    way = 2 * np.pi * random_stream(seed, "direction", number).random()
-    off = eccentricity * np.array([np.cos(way), np.sin(way)])
+    """Estimates from one test of a reflector with an eccentric sphere.
+
+    The sphere has the distance `eccentricity` [m] from the axis of the table, in a random direction.
+    """
+    direction = 2 * np.pi * random_stream(seed, "direction", number).random()
+    offset = eccentricity * np.array([np.cos(direction), np.sin(direction)])
     return evaluate_reflector_bench(
-        measure_bench(BenchTest(table=table, eccentricity=off, probe_angles=probe), seed, number)
+        measure_bench(BenchTest(table=table, eccentricity=offset, probe_angles=probe), seed, number)
     )
 
 
 def row_of(results: list[ReflectorBenchEstimates], table: Floats) -> dict[str, float]:
-    """How far the found tables are from the one put in [um], and the explanation by a vertex."""
+    """Differences [um] between estimated and true range errors, and parameters of a vertex offset fitted to them."""
     true = table - table[MIDDLE]
 
     def rms(tables: list[Floats]) -> float:
         return float(np.sqrt(np.mean((np.array(tables) - true) ** 2))) / MICROMETRE
 
-    def at_edge(tables: list[Floats]) -> float:
+    def worst_error(tables: list[Floats]) -> float:
         return float(np.percentile(np.abs(np.array(tables) - true).max(axis=1), 95)) / MICROMETRE
 
     vertices = [
@@ -47,8 +50,8 @@ def row_of(results: list[ReflectorBenchEstimates], table: Floats) -> dict[str, f
         "run_out_um": float(np.mean([r.run_out for r in results])) / MICROMETRE,
         "rms_uncorrected_um": rms([r.uncorrected_lengths for r in results]),
         "rms_corrected_um": rms([r.range_errors for r in results]),
-        "worst_95_uncorrected_um": at_edge([r.uncorrected_lengths for r in results]),
-        "worst_95_corrected_um": at_edge([r.range_errors for r in results]),
+        "worst_95_uncorrected_um": worst_error([r.uncorrected_lengths for r in results]),
+        "worst_95_corrected_um": worst_error([r.range_errors for r in results]),
         "vertex_side_um": float(np.mean([v.side_offset for v in vertices])) / MICROMETRE,
         "vertex_axial_um": float(np.mean([v.axial_offset for v in vertices])) / MICROMETRE,
         "unexplained_by_vertex_um": float(np.mean([v.unexplained_rms for v in vertices])) / MICROMETRE,
@@ -56,7 +59,7 @@ def row_of(results: list[ReflectorBenchEstimates], table: Floats) -> dict[str, f
 
 
 def panel(name: str, table: Floats, results: list[ReflectorBenchEstimates]) -> list[SweepPoint]:
-    """How far the found tables are from the one put in, with and without the probe: mean and middle 90 % of trials."""
+    """Mean error and middle 90 % of the trials by angle of incidence, with and without correction by the probe."""
     lines = {
         "lengths as recorded": [r.uncorrected_lengths for r in results],
         "eccentricity removed": [r.range_errors for r in results],
@@ -74,9 +77,9 @@ def panel(name: str, table: Floats, results: list[ReflectorBenchEstimates]) -> l
     return rows
 
 
-def run(given: Options) -> Made:
-    config = given.config
-    trials, seed = given.trials or config["trials"], config["seed"]
+def run(options: Options) -> RunRecord:
+    config = options.config
+    trials, seed = options.trials or config["trials"], config["seed"]
     rows: list[dict[str, Any]] = []
     points: list[SweepPoint] = []
     for name, reflector in config["reflectors"].items():
@@ -88,8 +91,9 @@ def run(given: Options) -> Made:
                 rows.append({"reflector": name, "probe": probed, "eccentricity_um": size} | row_of(results, table))
                 if size == 5.0 and probed == "full turn":
                     points += panel(name, table, results)
-        tell(f"{name}: done")
-    write_table(given.out / "bench.csv", rows)
+        print_line(f"{name}: done")
+    write_table(options.out / "bench.csv", rows)
     label = "estimated minus true range error [µm]"
-    write_figure(given.out / "tables.svg", sweep_panels_figure(points, statistic_title=label, x_title="incidence [°]"))
-    return Made(seed, trials)
+    figure = sweep_panels_figure(points, statistic_title=label, x_title="incidence [°]")
+    write_figure(options.out / "tables.svg", figure)
+    return RunRecord(seed, trials)

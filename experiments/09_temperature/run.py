@@ -2,18 +2,20 @@
 
 from dataclasses import replace
 
-from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, write_figure
+from experiments.common import ERROR, NEW_POINTS, Options, RunRecord, campaign, write_figure
 from ltsim.reports.figures.campaign import SweepPoint, sweep_panels_figure, sweep_points
 
 DRIFTS = (0.0, 0.25, 0.5, 1.0)
-"""Of the prior, 9.7 urad and 14 um, over 7 K: a share of 0.25 is 0.35 urad and 0.5 um per kelvin."""
+"""Changes of the parameters over 7 K, as fractions of the prior (9.7 urad, 14 um): 0.25 is 0.35 urad and 0.5 um per
+kelvin.
+"""
 AS_READ = "new_point_error_raw_um"
 
 
-def run(given: Options) -> Made:
+def run(options: Options) -> RunRecord:
     rows: list[SweepPoint] = []
     for drift in DRIFTS:
-        results = campaign("config.toml", given, f"drift-{drift:g}", validation_drift=drift)
+        results = campaign("config.toml", options, f"drift-{drift:g}", validation_drift=drift)
         rows += [
             replace(s, level=drift) for s in sweep_points(results, ERROR, "gauge_scale_ppm", panel="gauge_scale_ppm")
         ]
@@ -21,7 +23,7 @@ def run(given: Options) -> Made:
         rows += [replace(s, level=drift, line_label="not calibrated") for s in as_read]
     figure = sweep_panels_figure(rows, statistic_title=NEW_POINTS, x_title="change until it is used, over the prior")
     for ax in figure.axes:
-        # A wrong gauge makes eq. 9 many times worse than nothing: it is shown.
+        # Logarithmic, because eq. 9 with a wrong gauge gives errors many times larger than those without calibration.
         ax.set(yscale="log", yticks=(ticks := (10, 20, 50, 100, 200, 500)), yticklabels=ticks)
-    write_figure(given.out / "new_points.svg", figure)
-    return Made(results.manifest.seed, results.manifest.trials)
+    write_figure(options.out / "new_points.svg", figure)
+    return RunRecord(results.manifest.seed, results.manifest.trials)

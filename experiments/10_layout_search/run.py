@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 import ltsim as lt
-from experiments.common import Made, Options, Row, show_table, write_figure
+from experiments.common import Options, Row, RunRecord, show_table, write_figure
 from ltsim.core.arrays import Floats
 from ltsim.core.randomness import random_stream
 from ltsim.core.units import MICROMETRE
@@ -26,15 +26,18 @@ from ltsim.reports.workshop_scene import workshop_from_scenario
 from ltsim.simulation.scenario import Scenario, scenario_to_toml
 
 MICRO = 1.0 / MICROMETRE
-PROMISED = (
+EXPECTED_COLUMNS = (
     ("before", "disagreement_before", "um", MICRO),
     ("after", "disagreement_after", "um", MICRO),
     ("improvement", "improvement", "percent", 1.0),
 )
 
 
-def unsearched(file: PlanFile, scenario: Scenario, count: int, seed: int) -> tuple[Floats, PlannedSurvey]:
-    """Values of layouts that are drawn evenly over floor, heights and turns, `count` that keep all rules; the best."""
+def random_layouts(file: PlanFile, scenario: Scenario, count: int, seed: int) -> tuple[Floats, PlannedSurvey]:
+    """Objective values of `count` feasible layouts drawn at random, and the best of these layouts.
+
+    The draws are uniform over floor, heights and orientations.
+    """
     site = make_search_space(file, scenario, n_stations=file.stations.count, n_faces=scenario.work.faces)
     search = LayoutSearcher(site, layout_objective(file, site.survey))
     corners = np.vstack(
@@ -71,7 +74,11 @@ def unsearched(file: PlanFile, scenario: Scenario, count: int, seed: int) -> tup
 
 
 def candidates_of(plan: PlannedNetwork, drawn: int, best: PlannedSurvey) -> dict[str, tuple[str, Scenario]]:
-    """The paper's own layout, the best of those drawn, the searched one, and the fewest that match the paper's."""
+    """Layouts to compare, by kind.
+
+    The layouts are the paper's, the best random one, the result of the search, and the one with the fewest stations
+    that is as good as the paper's.
+    """
     few, chosen = fewest_stations_not_worse_than_scenario(plan), plan.layout.survey
     surveys = {"drawn": (f"best of {drawn} drawn", best)}
     surveys["searched"] = f"searched, {len(chosen.station_positions)} stations", chosen
@@ -82,7 +89,7 @@ def candidates_of(plan: PlannedNetwork, drawn: int, best: PlannedSurvey) -> dict
 
 
 def g_criterion(covariance: Floats, regressors: Floats) -> Floats:
-    """Largest standard deviation (...) of a prediction.
+    """Largest standard deviation (...) of the predictions (G criterion).
 
     Parameters
     ----------
@@ -96,9 +103,9 @@ def g_criterion(covariance: Floats, regressors: Floats) -> Floats:
 
 
 def corrections(information: ExpectedPrecision) -> Floats:
-    """(m, p): displacement [m] that a prior sigma of each parameter makes all over the working volume, front face.
+    """(m, p) [m] Displacement by one prior sigma of each parameter, over the whole working volume, front face.
 
-    Ranges of 1 to 8 m, all azimuths, elevations from -50 to 65 deg; three rows a place.
+    The points have ranges of 1 to 8 m, all azimuths, and elevations from -50 to 65 deg; each point has three rows.
     """
     axes = np.arange(1.0, 8.5, 1.0), np.arange(12) * np.pi / 6, np.radians(np.linspace(-50, 65, 8))
     raw = np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
@@ -108,11 +115,11 @@ def corrections(information: ExpectedPrecision) -> Floats:
 
 
 def quality(scenario: Scenario) -> Row:
-    """Every criterion of a layout, and what calibration is expected to do for the paper's."""
+    """All criteria of a layout, and the expected effect of calibration on the criteria of the paper."""
     information = ExpectedPrecision.from_survey(planned_survey(scenario))
     covariance, rows = information.covariance_in_prior_sigmas, corrections(information)
     expected, promised = DisagreementPredictor.from_expected_precision(information).expected_disagreement(), {}
-    for kind, (what, attribute, unit, factor) in product(("distance", "coordinate"), PROMISED):
+    for kind, (what, attribute, unit, factor) in product(("distance", "coordinate"), EXPECTED_COLUMNS):
         promised[f"{kind}_{what}_{unit}"] = factor * getattr(expected, f"{kind}_{attribute}")[0]
     return {
         "stations": len(scenario.stations),
@@ -126,16 +133,16 @@ def quality(scenario: Scenario) -> Row:
     }
 
 
-def check(scenario: Scenario, folder: Path, trials: int, given: Options) -> tuple[list[Row], Row]:
-    """Achieved over predicted standard deviation of every parameter; and of all together and the targets.
+def check(scenario: Scenario, folder: Path, trials: int, options: Options) -> tuple[list[Row], Row]:
+    """Ratios of simulated to predicted standard deviations: a row for each parameter, and a summary with the targets.
 
-    By a campaign whose stations and reflectors stand off their places, each trial elsewhere.
+    The simulated campaign places stations and reflectors in each trial with new random deviations.
     """
     file = folder.with_suffix(".toml")
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text(scenario_to_toml(scenario), encoding="utf-8")
-    campaign = {"scenario": str(file), "seed": given.config["seed"], "trials": trials, "geometry": "per-trial"}
-    results = lt.campaign(campaign, out=folder, jobs=given.jobs, force=True)
+    campaign = {"scenario": str(file), "seed": options.config["seed"], "trials": trials, "geometry": "per-trial"}
+    results = lt.campaign(campaign, out=folder, jobs=options.jobs, force=True)
     information = ExpectedPrecision.from_survey(planned_survey(scenario))
     predicted, z_scores = information.instrument_sigmas, results.z_score_summaries()
     rows: list[Row] = [
@@ -159,49 +166,49 @@ def check(scenario: Scenario, folder: Path, trials: int, given: Options) -> tupl
 
 
 def lot_row(values: Floats, plan: PlannedNetwork) -> Row:
-    """The values D of layouts that were only drawn, beside the paper's and the searched one's."""
+    """Quantiles of the D criterion of random layouts, and its values for the paper's layout and the search result."""
     paper = d_criterion(ExpectedPrecision.from_survey(planned_survey(plan.scenario)).covariance_in_prior_sigmas)
-    named = dict(zip(("best", "p5", "median", "p95"), np.percentile(values, [0, 5, 50, 95]), strict=True))
+    quantiles = dict(zip(("best", "p5", "median", "p95"), np.percentile(values, [0, 5, 50, 95]), strict=True))
     of_ten = values[: len(values) // 10 * 10].reshape(-1, 10).min(axis=1).mean()
     row = (
         {"drawn": len(values)}
-        | named
+        | quantiles
         | {"best_of_ten_mean": of_ten, "paper": paper, "searched": plan.layout.objective_value}
     )
     return row | {"drawn_better_than_paper_percent": 100 * np.mean(values < paper)}
 
 
 def curve_rows(plan: PlannedNetwork) -> list[Row]:
-    """Cost against quality."""
+    """Row for each point of the trade-off between cost (stations, pointings, hours) and D criterion."""
     return [
         {"stations": len(o.survey.station_positions), "faces": len(o.survey.faces), "pointings": o.survey.n_pointings,
          "hours": o.hours, "D": o.objective_value, "efficient": o.is_efficient} for o in plan.tradeoff_points
     ]  # fmt: skip
 
 
-def run(given: Options) -> Made:
-    """Search under both readings of the shadow cone, then simulate."""
-    config, reasons = given.config, {}
-    trials = given.trials or config["trials"]
-    file, base = load_plan(given.here / "plan.toml")
+def run(options: Options) -> RunRecord:
+    """Search layouts under both interpretations of the shadow cone, then check the layouts by simulation."""
+    config, reasons = options.config, {}
+    trials = options.trials or config["trials"]
+    file, base = load_plan(options.folder / "plan.toml")
     tables: dict[str, list[Row]] = {n: [] for n in ("layouts", "unsearched", "tradeoff", "parameters", "check")}
     for cone in config["cones_deg"]:
         workshop = base.workshop.model_copy(update={"shadow_cone_deg": float(cone)})
-        plan = make_plan(file, base.model_copy(update={"workshop": workshop}), jobs=given.jobs)
+        plan = make_plan(file, base.model_copy(update={"workshop": workshop}), jobs=options.jobs)
         content, about = Plan.from_network(plan), {"cone_deg": cone}
         reasons[str(cone)] = [content.summary, *content.reasons]
-        values, best = unsearched(file, plan.scenario, config["unsearched"], config["seed"])
+        values, best = random_layouts(file, plan.scenario, config["unsearched"], config["seed"])
         tables["tradeoff"] += [about | row for row in curve_rows(plan)]
         tables["unsearched"].append(about | lot_row(values, plan))
         for kind, (layout, scenario) in candidates_of(plan, len(values), best).items():
-            words = about | {"layout": layout}
-            tables["layouts"].append(words | quality(scenario))
+            labels = about | {"layout": layout}
+            tables["layouts"].append(labels | quality(scenario))
             if kind == "searched" or cone == config["cones_deg"][0]:
-                rows, summary = check(scenario, given.out / "check" / f"{kind}-{cone}", trials, given)
-                tables["parameters"] += [words | row for row in rows]
-                tables["check"].append(words | summary)
+                rows, summary = check(scenario, options.out / "check" / f"{kind}-{cone}", trials, options)
+                tables["parameters"] += [labels | row for row in rows]
+                tables["check"].append(labels | summary)
             if kind == "searched":
-                write_figure(given.out / f"floor_{cone}_searched.svg", floor_plan(workshop_from_scenario(scenario)))
+                write_figure(options.out / f"floor_{cone}_searched.svg", floor_plan(workshop_from_scenario(scenario)))
     for name, table in tables.items():
-        show_table(given.out / f"{name}.csv", table)
-    return Made(config["seed"], trials, {"reasons": reasons})
+        show_table(options.out / f"{name}.csv", table)
+    return RunRecord(config["seed"], trials, {"reasons": reasons})

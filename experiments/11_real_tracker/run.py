@@ -2,7 +2,7 @@
 
     python -m experiments 11 [noise] [course] [transfer] [lines] [index] [checks] [diagnoses]
 
-Reads ../shared/recordings beside the checkout; writes figures found.
+The steps read ../shared/recordings, and write only results.
 """
 
 import json
@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from experiments.common import Made, Options, run_steps, show_table, write_figure
+from experiments.common import Options, RunRecord, run_steps, show_table, write_figure
 from ltsim.adjustment import adjust
 from ltsim.adjustment.fieldcheck.setup_model import two_face_pairs
 from ltsim.calibration.calibration_series import CalibrationSeries
@@ -26,18 +26,28 @@ from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.recordings.setup import Noise
 
-from .desy import AUTHORS, EPOCHS, clean, epoch, estimated_noise, interferometer, set_up, snooped, variance_factors
+from .desy import (
+    AUTHORS,
+    EPOCHS,
+    epoch,
+    estimated_noise,
+    interferometer,
+    is_clean_pair,
+    reject_outliers,
+    set_up,
+    variance_factors,
+)
 
 FLIPPING = ("transit-offset", "beam-offset", "beam-tilt", "transit-tilt", "vertical-index")
 DEFAULT = "what `calibrate` applies by default"
 SIX = misalignment_construction([effect for effect in ORDINARY_CALIBRATION_EFFECTS if effect.name in FLIPPING])
 UNITS = ("um", "urad across", "urad elevation")
-BEFORE, AFTER = ([f"{when} {unit}" for unit in UNITS] for when in ("before", "after"))
+COLUMNS_BEFORE, COLUMNS_AFTER = ([f"{when} {unit}" for unit in UNITS] for when in ("before", "after"))
 Rows = list[dict[str, object]]
 
 
 def noise_of_recordings(out: Path) -> Noise:
-    """Noise in `noise.json`, estimated again if the file is absent."""
+    """Noise in `noise.json`, which is estimated first if the file does not exist."""
     file = out / "noise.json"
     if not file.is_file():
         noise(out)
@@ -45,15 +55,16 @@ def noise_of_recordings(out: Path) -> Noise:
 
 
 def noise(out: Path) -> None:
+    """Estimate the noise of the recordings, and list chi-square, variance factors and rejected pairs of each epoch."""
     estimate = estimated_noise()
     text = json.dumps({"estimated": estimate.model_dump(), "authors": AUTHORS.model_dump()}, indent=1)
     (out / "noise.json").write_text(text + "\n")
     rows: Rows = []
     for name in EPOCHS:
-        used, dropped = snooped(epoch(name, estimate))
+        used, dropped = reject_outliers(epoch(name, estimate))
         adjusted = adjust(used, misalignment_construction())
         factors = variance_factors([adjusted])
-        by_authors = adjust(snooped(epoch(name, AUTHORS))[0], misalignment_construction())
+        by_authors = adjust(reject_outliers(epoch(name, AUTHORS))[0], misalignment_construction())
         rows.append({"epoch": name, "pointings": len(used), "chi2/dof": round(adjusted.sigma0**2, 3),
                      "range factor": factors[0].round(2), "azimuth factor": factors[1].round(2),
                      "elevation factor": factors[2].round(2), "chi2/dof authors": round(by_authors.sigma0**2, 3),
@@ -63,8 +74,9 @@ def noise(out: Path) -> None:
 
 
 def course(out: Path) -> None:
+    """Calibrate every epoch with 16 and with 6 parameters, and list the parameters and their changes."""
     estimate = noise_of_recordings(out)
-    recordings = {name: snooped(epoch(name, estimate))[0] for name in EPOCHS}
+    recordings = {name: reject_outliers(epoch(name, estimate))[0] for name in EPOCHS}
     for label, construction in (("16", misalignment_construction()), ("6", SIX)):
         calibrations = [
             (name, calibrate_network(recordings[name], construction, recommend_measurements=False)) for name in EPOCHS
@@ -72,7 +84,7 @@ def course(out: Path) -> None:
         history = History.from_series(CalibrationSeries.from_labelled(calibrations))
         content = history.content()
         (out / f"history_{label}.json").write_text(json.dumps(content, indent=1) + "\n")
-        if construction is SIX:  # sixteen courses are a table
+        if construction is SIX:  # a figure of sixteen parameters would not be readable
             write_figure(out / f"history_{label}.svg", history.plot())
         show_table(out / f"changes_{label}.csv", [
             {"from": c["from"], "to": c["to"], "chi2": round(c["chi2"], 1), "dof": c["dof"],
@@ -89,7 +101,9 @@ def course(out: Path) -> None:
 
 
 CEILING = "ceiling: 16 parameters on the set-up they were fitted to"
-"""What the model removes from the very pairs it was fitted to: nothing that transfers can do better."""
+"""Name of the method that removes parameters from the pairs of faces from which they were estimated: an upper limit for
+every method.
+"""
 METHODS = (
     ("16 parameters", misalignment_construction(), False, False),
     (DEFAULT, misalignment_construction(), False, False),
@@ -99,16 +113,17 @@ METHODS = (
     ("6 parameters, outliers out", SIX, True, False),
     (CEILING, misalignment_construction(), True, False),
 )
-"""Name, what is estimated, whether outliers of the calibrating set-up go, whether other epochs tell the prior."""
+"""Name; construction; True if outliers of the calibrating set-up are rejected; True if other epochs provide the prior.
+"""
 
 
 def transfer(out: Path) -> None:
-    """Half differences of each set-up before and after parameters of the other: each transfer, and all of a method."""
+    """Evaluate half face differences of each set-up before and after correction by the other set-up's parameters."""
     estimate, parts = noise_of_recordings(out), []
     raw = {(name, s): set_up(epoch(name, estimate), s) for name in EPOCHS for s in (0, 1)}
-    good = {key: clean(two_face_pairs(r), r) for key, r in raw.items()}
+    good = {key: is_clean_pair(two_face_pairs(r), r) for key, r in raw.items()}
     for method, construction, snoop, informed in METHODS:
-        used = {k: snooped(r, construction)[0] if snoop else r for k, r in raw.items()}
+        used = {k: reject_outliers(r, construction)[0] if snoop else r for k, r in raw.items()}
         calibrations = {k: calibrate_network(r, construction, recommend_measurements=False) for k, r in used.items()}
         for name, s in raw:
             others = [(f"{k[0]} {k[1]}", c) for k, c in calibrations.items() if k[0] != name]
@@ -120,35 +135,38 @@ def transfer(out: Path) -> None:
             faces = two_face_pairs(raw[name, to]), two_face_pairs(raw[name, to], construction, values)
             columns = np.hstack([(1e6 * half.half_differences) ** 2 for half in faces])
             about = {"method": method, "epoch": name, "from": s, "to": to, "clean": good[name, to]}
-            parts.append(pd.DataFrame(columns, columns=[*BEFORE, *AFTER]).assign(**about))
+            parts.append(pd.DataFrame(columns, columns=[*COLUMNS_BEFORE, *COLUMNS_AFTER]).assign(**about))
     pairs = pd.concat(parts)
     clean_pairs = pairs[pairs.clean]
     every = shares(clean_pairs, "clean", "method", "epoch", "from", "to")
     total = [shares(pairs, "all", "method"), shares(clean_pairs, "clean", "method")]
     for kind, whole in zip((pairs, clean_pairs), total, strict=True):
         medians = shares(kind, "", "method", "epoch", "from", digits=9).groupby("method").median(numeric_only=True)
-        for word in ("across", "elevation"):
-            whole[f"median share {word}"] = whole.method.map(medians[f"share {word}"]).round(3)
+        for direction in ("across", "elevation"):
+            whole[f"median share {direction}"] = whole.method.map(medians[f"share {direction}"]).round(3)
     order = pd.concat(total).sort_index(kind="stable")
     show_table(out / "transfer.csv", every[every.method != CEILING].to_dict("records"))
     show_table(out / "transfer_summary.csv", order.to_dict("records"))
 
 
-def shares(pairs: pd.DataFrame, kind: str, *by: str, digits: int = 3) -> pd.DataFrame:
-    """Rms of squared half differences before and after in um and urad, and the share removed, a row a group."""
-    groups = pairs.groupby([*by], sort=False)
-    rms, table = groups[[*BEFORE, *AFTER]].mean() ** 0.5, groups.size().map(f"{{}} {kind}".format).to_frame("pairs")
-    for before, after, unit in zip(BEFORE, AFTER, UNITS, strict=True):
+def shares(pairs: pd.DataFrame, kind: str, *keys: str, digits: int = 3) -> pd.DataFrame:
+    """Rms half face differences [um, urad] before and after correction, and the fraction removed, for each group."""
+    groups = pairs.groupby([*keys], sort=False)
+    rms, table = (
+        groups[[*COLUMNS_BEFORE, *COLUMNS_AFTER]].mean() ** 0.5,
+        groups.size().map(f"{{}} {kind}".format).to_frame("pairs"),
+    )
+    for before, after, unit in zip(COLUMNS_BEFORE, COLUMNS_AFTER, UNITS, strict=True):
         table[before], table[after] = rms[before].round(2), rms[after].round(2)
         table[f"share {unit.split()[-1]}"] = (1 - rms[after] / rms[before]).round(digits)
     return table.reset_index()
 
 
 def lines(out: Path) -> None:
-    """Lengths by interferometer against coordinates: the network's, and those of one face of one set-up."""
+    """Compare interferometer lengths with lengths from coordinates: of the network, and of one face of one set-up."""
     estimate, parts, back = noise_of_recordings(out), [], []
     for name in EPOCHS:
-        recording = snooped(epoch(name, estimate))[0]
+        recording = reject_outliers(epoch(name, estimate))[0]
         spans = interferometer(name)
         back.append(spans.groupby("way").length.diff().dropna())
         calibrated = adjust(recording, misalignment_construction())
@@ -184,7 +202,7 @@ def lines(out: Path) -> None:
 
 
 def gaps(spans: pd.DataFrame, names: Sequence[str], points: Floats) -> pd.DataFrame:
-    """Lengths [um] between points (n, 3) [m] less those by interferometer, where both ends have coordinates."""
+    """Lengths [um] between points (n, 3) [m] minus interferometer lengths, if both ends have coordinates."""
     place = dict(zip(names, points, strict=True))
     measured = spans[spans["first"].isin(place) & spans.second.isin(place)]
     lengths = [np.linalg.norm(place[b] - place[a]) for a, b in zip(measured["first"], measured.second, strict=True)]
@@ -192,10 +210,13 @@ def gaps(spans: pd.DataFrame, names: Sequence[str], points: Floats) -> pd.DataFr
 
 
 def index(out: Path) -> None:
-    """Is the vertical index one number? Half differences in elevation: offset and slope of each set-up, one b_z."""
+    """Test whether the vertical index is constant, from half face differences in elevation.
+
+    The table has the difference between the set-ups and the drift in each set-up.
+    """
     estimate, rows = noise_of_recordings(out), []
     for name in EPOCHS:
-        recording = snooped(epoch(name, estimate))[0]
+        recording = reject_outliers(epoch(name, estimate))[0]
         pairs = two_face_pairs(recording)
         station = recording.station[pairs.pointing_indices[:, 0]]
         design = [-1.0 / pairs.mean_front_face_readings[:, 0]]
@@ -217,7 +238,7 @@ def index(out: Path) -> None:
 
 
 def checks(out: Path) -> None:
-    """Three suspects of the diagnoses in every epoch: half difference in range, gaps to the interferometer."""
+    """Test three reported causes in every epoch: half differences in range, and differences from the interferometer."""
     estimate, rows = noise_of_recordings(out), []
     for name in EPOCHS:
         recording = epoch(name, estimate)
@@ -236,7 +257,7 @@ def checks(out: Path) -> None:
 
 
 def diagnoses(out: Path) -> None:
-    """`ltsim diagnose` on every epoch, with the default noise and with the estimated noise; half a minute each."""
+    """Diagnose every epoch with the default noise and with the estimated noise; half a minute for each diagnosis."""
     rows: Rows = []
     for label, noise_of_tracker in (("default", None), ("estimated", noise_of_recordings(out))):
         for name in EPOCHS:
@@ -244,11 +265,12 @@ def diagnoses(out: Path) -> None:
             before, after = content["fit"]["before"], content["fit"]["after"]
             rows.append({"noise": label, "epoch": name, "verdict": content["verdict"],
                          "chi2/dof": f"{before['chi2'] / before['dof']:.2f} to {after['chi2'] / after['dof']:.2f}",
-                         "findings": "; ".join(in_words(f) for f in content["findings"])})  # fmt: skip
+                         "findings": "; ".join(finding_text(f) for f in content["findings"])})  # fmt: skip
     show_table(out / "diagnoses.csv", rows)
 
 
-def in_words(finding: dict) -> str:
+def finding_text(finding: dict) -> str:
+    """Effect, place, parameters, probability and equivalent effects of a finding in one line."""
     where = finding["where"]
     place = " ".join([*where["stations"], *where["targets"], *where["observables"]])
     sizes = ", ".join(f"{p['name']} {p['value']:.3g} +- {p['sigma']:.2g} {p['unit']}".strip()
@@ -261,7 +283,7 @@ def in_words(finding: dict) -> str:
 STEPS = {f.__name__: f for f in (noise, course, transfer, lines, index, checks, diagnoses)}
 
 
-def run(given: Options) -> Made:
-    """Run the named steps, or all."""
-    run_steps(given, STEPS)
-    return Made()
+def run(options: Options) -> RunRecord:
+    """Run the steps that the command line names, or all steps."""
+    run_steps(options, STEPS)
+    return RunRecord()

@@ -1,6 +1,6 @@
 """Effect of a machine on the floor on visibility, accuracy and the planned layout."""
 
-from experiments.common import Made, Options, Row, show_table, write_figure, write_table
+from experiments.common import Options, Row, RunRecord, show_table, write_figure, write_table
 from ltsim.core.units import MICROMETRE
 from ltsim.planning.expected_precision import ExpectedPrecision
 from ltsim.planning.loading import load_plan
@@ -20,12 +20,12 @@ MACHINE = Obstacle(name="machine", box_mm=(800, 500, 1100), position_mm=(1600, 7
 
 
 def with_machine(scenario: Scenario) -> Scenario:
-    """The scenario with the machine on its floor."""
+    """Scenario with the machine as an obstacle on the floor."""
     return scenario.model_copy(update={"workshop": scenario.workshop.model_copy(update={"obstacles": (MACHINE,)})})
 
 
 def row(name: str, scenario: Scenario, survey: PlannedSurvey) -> Row:
-    """Sights and information of a layout in a workshop."""
+    """Blocked sights, D criterion and target errors of a layout in a workshop."""
     information = ExpectedPrecision.from_survey(survey)
     return {
         "layout": name,
@@ -36,11 +36,11 @@ def row(name: str, scenario: Scenario, survey: PlannedSurvey) -> Row:
     }
 
 
-def run(given: Options) -> Made:
-    """The paper's layout and the plan, each in the empty workshop and with the machine."""
-    file, empty = load_plan(given.here / "machine.toml")
+def run(options: Options) -> RunRecord:
+    """Evaluate the paper's layout and the planned layouts, each in the empty workshop and with the machine."""
+    file, empty = load_plan(options.folder / "machine.toml")
     full = with_machine(empty)
-    plans: dict[str, PlannedNetwork] = {name: make_plan(file, scenario, jobs=given.jobs)
+    plans: dict[str, PlannedNetwork] = {name: make_plan(file, scenario, jobs=options.jobs)
                               for name, scenario in (("empty", empty), ("machine", full))}  # fmt: skip
     moved = scenario_of_plan(plans["empty"])
     layouts = (
@@ -51,10 +51,10 @@ def run(given: Options) -> Made:
         ("plan for the machine, with the machine", full, planned_survey(scenario_of_plan(plans["machine"]))),
     )
     rows = [row(name, scenario, survey) for name, scenario, survey in layouts]
-    show_table(given.out / "layouts.csv", rows)
+    show_table(options.out / "layouts.csv", rows)
     lost = make_visibility(full).invisible_pair_sentences(tuple(full.stations), full.target_names)
-    write_table(given.out / "lost.csv", [{"sight": sentence} for sentence in lost])
+    write_table(options.out / "lost.csv", [{"sight": sentence} for sentence in lost])
     for name, scenario in (("paper_machine", full), ("plan_machine", scenario_of_plan(plans["machine"]))):
-        write_figure(given.out / f"{name}.svg", floor_plan(workshop_from_scenario(scenario)))
+        write_figure(options.out / f"{name}.svg", floor_plan(workshop_from_scenario(scenario)))
     reasons = {name: Plan.from_network(plan).reasons for name, plan in plans.items()}
-    return Made(file.search.seed, file.search.starts, {"machine": MACHINE.model_dump(), "reasons": reasons})
+    return RunRecord(file.search.seed, file.search.starts, {"machine": MACHINE.model_dump(), "reasons": reasons})

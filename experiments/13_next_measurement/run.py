@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.common import Made, Options, Row, show_table
+from experiments.common import Options, Row, RunRecord, show_table
 from ltsim.adjustment import adjust
 from ltsim.adjustment.remedies.candidates import CandidateMeasurement
 from ltsim.adjustment.remedies.next_measurement import rank_measurements_between
@@ -25,8 +25,11 @@ from ltsim.simulation.simulator import simulate
 from ltsim.simulation.truth import Truth
 
 
-def measured(candidate: CandidateMeasurement, before: Recording, truth: Truth, seed: int) -> Recording:
-    """Recording with the proposed pointings, simulated from the true network, instrument and effect, with new noise."""
+def with_measurement(candidate: CandidateMeasurement, original: Recording, truth: Truth, seed: int) -> Recording:
+    """Recording with the pointings of a proposal.
+
+    The pointings are simulated with the true network, instrument and effect, and new noise.
+    """
     recording, construction = candidate.network.recording, misalignment_construction()
     position, rotation = truth.station_positions, truth.station_rotations
     if candidate.added_setup_on_floor_plan is not None:
@@ -42,12 +45,12 @@ def measured(candidate: CandidateMeasurement, before: Recording, truth: Truth, s
             sightings_at_state(recording, state), applied.parameter_values
         )
     noise = random_stream(seed, "added").normal(size=readings.shape) * recording.reading_sigmas()
-    added = np.arange(len(recording)) >= len(before)
+    added = np.arange(len(recording)) >= len(original)
     return recording.with_readings(np.where(added[:, None], readings + noise, recording.readings))
 
 
-def words(diagnosis: Diagnosis, effect: str, stations: Sequence[str]) -> Row:
-    """Report of a diagnosis, and whether it is right."""
+def report_row(diagnosis: Diagnosis, effect: str, stations: Sequence[str]) -> Row:
+    """Report of a diagnosis, and True if effect and stations are correct."""
     if not diagnosis.findings:
         return {"named": diagnosis.verdict, "probability": 0.0, "not_excluded": "", "right": False}
     first = diagnosis.findings[0]
@@ -59,8 +62,11 @@ def words(diagnosis: Diagnosis, effect: str, stations: Sequence[str]) -> Row:
     }
 
 
-def recorded(scenario_name: str, case: dict[str, Any], seed: int) -> tuple[Recording, Truth]:
-    """Recording of a case, with its truth; a wrong reading is added to the readings."""
+def recording_of_case(scenario_name: str, case: dict[str, Any], seed: int) -> tuple[Recording, Truth]:
+    """Recording of a case, with its truth.
+
+    The case is an effect of the simulation, or an error that is added to the readings of one target.
+    """
     scenario = load_scenario(scenario_name)
     if "values" in case:
         places = {key: tuple(case.get(key, ())) for key in ("stations", "targets")}
@@ -74,11 +80,11 @@ def recorded(scenario_name: str, case: dict[str, Any], seed: int) -> tuple[Recor
 
 
 def examined_recording(scenario_name: str, case: dict[str, Any], seed: int, number: int) -> Row:
-    """Row of one recording: diagnosed, extended as proposed, diagnosed again."""
-    recording, truth = recorded(scenario_name, case, seed + 1000 * number)
+    """Row of one recording: first diagnosis, proposed measurement, diagnosis with this measurement."""
+    recording, truth = recording_of_case(scenario_name, case, seed + 1000 * number)
     first = diagnose(recording, seed=seed)
     row: Row = {"true": case["name"], "recording": number}
-    row |= {f"before_{key}": value for key, value in words(first, case["name"], case["stations"]).items()}
+    row |= {f"before_{key}": value for key, value in report_row(first, case["name"], case["stations"]).items()}
     between, context = explanations_of_ambiguous_finding(first)
     if not between:
         return row | {"between": "", "proposal": ""}
@@ -86,7 +92,7 @@ def examined_recording(scenario_name: str, case: dict[str, Any], seed: int, numb
     adjustment.solution.require_success()
     proposals = rank_measurements_between(adjustment, between, context)
     best = proposals.proposals[0]
-    second = diagnose(measured(best.candidate, recording, truth, seed + number), seed=seed)
+    second = diagnose(with_measurement(best.candidate, recording, truth, seed + number), seed=seed)
     row |= {
         "between": " ".join(between),
         "proposal": best.candidate.instruction,
@@ -95,14 +101,14 @@ def examined_recording(scenario_name: str, case: dict[str, Any], seed: int, numb
         "evidence_after": " ".join(f"{value:.1f}" for value in best.expected_chi2_differences.values()),
         "separated_explanations": " ".join(best.distinguished_explanations),
     }
-    return row | {f"after_{key}": value for key, value in words(second, case["name"], case["stations"]).items()}
+    return row | {f"after_{key}": value for key, value in report_row(second, case["name"], case["stations"]).items()}
 
 
-def run(given: Options) -> Made:
-    """Run all cases and recordings."""
-    config = given.config
-    count = given.trials or config["recordings"]
+def run(options: Options) -> RunRecord:
+    """Diagnose all recordings of all cases before and after the proposed measurement."""
+    config = options.config
+    count = options.trials or config["recordings"]
     tasks = [(config["scenario"], case, config["seed"], number) for case in config["cases"] for number in range(count)]
-    rows = list(run_parallel(examined_recording, tasks, given.jobs))
-    show_table(given.out / "cases.csv", rows)
-    return Made(config["seed"], count)
+    rows = list(run_parallel(examined_recording, tasks, options.jobs))
+    show_table(options.out / "cases.csv", rows)
+    return RunRecord(config["seed"], count)

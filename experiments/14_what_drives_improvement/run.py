@@ -1,8 +1,8 @@
 """Sobol indices of the errors that determine how much a calibration improves the paper's criteria.
 
-The sizes of all groups of errors are uncertain over a range, evenly in their logarithm; a first-order index is the
-share of the variance of a criterion that knowing one size would remove, a total index the share that would remain if
-all others were known (Saltelli et al., Comput. Phys. Commun. 181 (2010) 259-270, by `scipy.stats.sobol_indices`).
+The size of each group of errors is uncertain, log-uniform over a range. A first-order index is the fraction of the
+variance of a criterion that vanishes if one size is known; a total index is the fraction that remains if all other
+sizes are known (Saltelli et al., Comput. Phys. Commun. 181 (2010) 259-270, by `scipy.stats.sobol_indices`).
 """
 
 import warnings
@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy import stats
 
-from experiments.common import Made, Options, Row, show_table, write_table
+from experiments.common import Options, Row, RunRecord, show_table, write_table
 from ltsim.core.arrays import Floats
 from ltsim.core.randomness import random_stream
 from ltsim.core.units import MICROMETRE
@@ -27,13 +27,13 @@ OUTPUTS = {
     "distance after": "distance_disagreement_after",
     "coordinate after": "coordinate_disagreement_after",
 }
-"""Attribute of the expected criteria by the name of an output."""
+"""Attribute of the expected criteria for each output, by name of the output."""
 Ranges = Mapping[str, tuple[float, float]]
-"""Lowest and highest size of each uncertain group of errors, in units of its stated size."""
+"""Smallest and largest size of each uncertain group of errors, relative to its declared size."""
 
 
 def sensitivity(predictor: DisagreementPredictor, ranges: Ranges, samples: int, seed: int) -> list[Row]:
-    """First-order and total index of each output by each input, with 95 % intervals (bootstrap)."""
+    """First-order and total index of each output for each input, with 95 % intervals (bootstrap)."""
     names, logs = list(ranges), np.log(list(ranges.values()))
 
     def criteria(sizes: Floats) -> Floats:
@@ -42,7 +42,7 @@ def sensitivity(predictor: DisagreementPredictor, ranges: Ranges, samples: int, 
 
     dists = [stats.uniform(loc=low, scale=high - low) for low, high in logs]
     indices = stats.sobol_indices(func=criteria, n=samples, dists=dists, random_state=random_stream(seed, "sobol"))
-    # An output that an input does not move has no bootstrap distribution; its interval is the index itself.
+    # If an input does not affect an output, the bootstrap distribution is degenerate; the interval is then the index.
     with np.errstate(invalid="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", stats.DegenerateDataWarning)
         spread = indices.bootstrap(0.95)
@@ -63,7 +63,10 @@ def sensitivity(predictor: DisagreementPredictor, ranges: Ranges, samples: int, 
 
 
 def effects_of(names: Sequence[str], stations: Sequence[str]) -> list[Effect]:
-    """The effects that calibration does not know; one of a single station acts on all, each with its own size."""
+    """Effects that the calibration does not model.
+
+    An effect of one station is created for each station, with a separate size.
+    """
     effects: list[Effect] = []
     for name in names:
         kind = find_effect(name)
@@ -72,22 +75,22 @@ def effects_of(names: Sequence[str], stations: Sequence[str]) -> list[Effect]:
 
 
 def improvement_rows(predictor: DisagreementPredictor, ranges: Ranges, seed: int) -> list[Row]:
-    """Both improvements over 2,000 draws of the sizes, and what is left afterwards."""
+    """Quantiles of both improvements over 2,000 draws of the sizes, and the median criterion after calibration."""
     rng = np.random.default_rng(seed)
     sizes = {g: np.exp(rng.uniform(np.log(low), np.log(high), 2000)) for g, (low, high) in ranges.items()}
     expected, rows = predictor.expected_disagreement(sizes), []
     for kind in ("distance", "coordinate"):
         gains = np.percentile(getattr(expected, f"{kind}_improvement"), [5, 50, 95])
-        named = dict(zip(("improvement_p5", "improvement_median", "improvement_p95"), gains, strict=True))
+        quantiles = dict(zip(("improvement_p5", "improvement_median", "improvement_p95"), gains, strict=True))
         expected_median = np.median(getattr(expected, f"{kind}_disagreement_after") / MICROMETRE)
-        rows.append({"criterion": kind} | named | {"after_median_um": expected_median})
+        rows.append({"criterion": kind} | quantiles | {"after_median_um": expected_median})
     return rows
 
 
-def run(given: Options) -> Made:
-    """Predict, then take the predictions apart."""
-    config, indices, spread = given.config, [], []
-    samples, seed = given.trials or config["samples"], config["seed"]
+def run(options: Options) -> RunRecord:
+    """Predict the improvements, and decompose their variance."""
+    config, indices, spread = options.config, [], []
+    samples, seed = options.trials or config["samples"], config["seed"]
     for name in config["scenarios"]:
         survey = planned_survey(load_scenario(name))
         effects = effects_of(config["left_out"], survey.station_names)
@@ -98,6 +101,6 @@ def run(given: Options) -> Made:
         ranges = {g: tuple(config["range_left_out" if g in excluded else "range"]) for g in predictor.error_groups}
         spread += [{"scenario": name} | row for row in improvement_rows(predictor, ranges, seed)]
         indices += [{"scenario": name} | row for row in sensitivity(predictor, ranges, samples, seed)]
-    write_table(given.out / "indices.csv", indices)
-    show_table(given.out / "improvement.csv", spread)
-    return Made(seed, samples)
+    write_table(options.out / "indices.csv", indices)
+    show_table(options.out / "improvement.csv", spread)
+    return RunRecord(seed, samples)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from experiments.common import Made, Options, Row, batches, tell, write_figure, write_table
+from experiments.common import Options, Row, RunRecord, batches, print_line, write_figure, write_table
 from ltsim.campaigns.calibrators import make_calibrator
 from ltsim.campaigns.cloud_kernels import align_rigidly
 from ltsim.campaigns.spec import CalibrationMethod
@@ -22,8 +22,8 @@ from ltsim.simulation.sections import PlannedTarget
 TRIALS, SEED = 100_000, 15
 
 
-def changed(scenario: Scenario, change: ReflectorChangeEntry) -> Scenario:
-    """The scenario with a reflector moved (under its own name), added or left out."""
+def with_change(scenario: Scenario, change: ReflectorChangeEntry) -> Scenario:
+    """Scenario with one reflector moved (its name stays), added or removed."""
     targets = {name: target for name, target in scenario.targets.items() if name != change.reflector}
     if change.position_mm is not None:
         targets[change.reflector or change.new_place] = PlannedTarget(position_mm=change.position_mm)
@@ -31,7 +31,7 @@ def changed(scenario: Scenario, change: ReflectorChangeEntry) -> Scenario:
 
 
 def squares(scenario: Scenario, weights: dict[str, float], number: int, width: int) -> Floats:
-    """Weighted mean squared error (B,) [um^2] of the named targets, fitted rigidly to where they truly are."""
+    """Weighted mean squared error (B,) [um^2] of the targets in `weights`, after a rigid fit to the true points."""
     truth = make_true_network(scenario, SEED, "campaign")
     block = truth.draw_batch(SEED, number, width)
     calibrated = make_calibrator(CalibrationMethod(), truth).calibrate(block, np.arange(width))
@@ -43,13 +43,13 @@ def squares(scenario: Scenario, weights: dict[str, float], number: int, width: i
 
 
 def gain(scenarios: tuple[Scenario, Scenario], weights: dict[str, float], trials: int, jobs: int) -> Row:
-    """How much smaller the error of the other targets is after the change, with its interval over batches."""
+    """Decrease of the rms error of the other targets by a change [um], with a 95 % interval over trials."""
     tasks = [(scenario, weights, *batch) for scenario in scenarios for batch in batches(trials, 1000)]
     parts = list(run_parallel(squares, tasks, jobs))
     half = len(parts) // 2
     before, after = np.concatenate(parts[:half]), np.concatenate(parts[half:])
     value = np.sqrt(before.mean()) - np.sqrt(after.mean())
-    # The variance of a root of a mean, and of the difference of two independent ones, to first order.
+    # Variance of the difference of two independent roots of means, to first order.
     error = np.sqrt(sum(x.var(ddof=1) / len(x) / (4 * x.mean()) for x in (before, after)))
     low, high = value - 1.96 * error, value + 1.96 * error
     return {
@@ -58,17 +58,17 @@ def gain(scenarios: tuple[Scenario, Scenario], weights: dict[str, float], trials
     }  # fmt: skip
 
 
-def run(given: Options) -> Made:
-    """Plan, then a campaign of the plan's layout and of each change of it that is told."""
-    trials = given.trials or TRIALS
-    file, hall = load_plan(given.here / "hall.toml")
-    plan = make_plan(file, hall, jobs=given.jobs)
+def run(options: Options) -> RunRecord:
+    """Plan a layout, then simulate the layout and each change of reflectors that the plan reports."""
+    trials = options.trials or TRIALS
+    file, hall = load_plan(options.folder / "hall.toml")
+    plan = make_plan(file, hall, jobs=options.jobs)
     scenario, survey, result = scenario_of_plan(plan), plan.layout.survey, Plan.from_network(plan)
     weights_by_target = dict(zip(survey.target_names, survey.normalised_target_weights.tolist(), strict=True))
     rows: list[Row] = []
     for change in plan.reflector_changes.reported_changes:
         weights = {name: weight for name, weight in weights_by_target.items() if name != change.reflector}
-        simulated_gain = gain((scenario, changed(scenario, change)), weights, trials, given.jobs)
+        simulated_gain = gain((scenario, with_change(scenario, change)), weights, trials, options.jobs)
         is_inside_interval = (
             simulated_gain["gain_low_um"] <= change.target_rms_decrease_um <= simulated_gain["gain_high_um"]
         )
@@ -77,8 +77,8 @@ def run(given: Options) -> Made:
             {k: v if isinstance(v, str) else round(float(v), 4) for k, v in row.items()}
             | {"inside_interval": bool(is_inside_interval)}
         )
-        tell(str(rows[-1]))
-    write_table(given.out / "changes.csv", rows)
+        print_line(str(rows[-1]))
+    write_table(options.out / "changes.csv", rows)
     figure = reflector_changes_floor_plan(workshop_from_scenario(scenario), result.reflector_changes, file.floor)
-    write_figure(given.out / "changes.svg", figure)
-    return Made(SEED, trials, {"summary": result.summary, "reasons": result.reasons})
+    write_figure(options.out / "changes.svg", figure)
+    return RunRecord(SEED, trials, {"summary": result.summary, "reasons": result.reasons})

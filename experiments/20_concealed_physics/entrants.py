@@ -1,4 +1,4 @@
-"""Who answers: ltsim, what else a user would take, or any program; each is given the folder of a recording alone."""
+"""Examined programs: ltsim, alternatives that users have, or any command; each receives only a recording's folder."""
 
 import contextlib
 import io
@@ -22,57 +22,73 @@ HUBER, HUBER_ROUNDS = 1.5, 8
 
 
 def ltsim(recording: Path, out: Path) -> None:
-    """`ltsim diagnose`, without the repeated search on held-out readings: it changes nothing that is told."""
+    """Write the answer of `ltsim diagnose`.
+
+    The cross-validation on held-out readings is omitted, because it does not change the reported findings.
+    """
     import numpy as np
 
     import ltsim as lt
 
     from .measure import Model
 
-    given = lt.read(str(recording))
-    diagnosis = lt.diagnose(given)
+    data = lt.read(str(recording))
+    diagnosis = lt.diagnose(data)
     lt.write(diagnosis, out)
-    change, factors = diagnosis.modelled_reading_change(given), diagnosis.variance_factors
+    change, factors = diagnosis.modelled_reading_change(data), diagnosis.variance_factors
     notes = {"coefficients": diagnosis.n_effect_coefficients}
-    Model(np.asarray(change), factors, diagnosis.modelled_length_change(given), notes).write(out)
+    Model(np.asarray(change), factors, diagnosis.modelled_length_change(data), notes).write(out)
 
 
 def ideal(recording: Path, out: Path) -> None:
-    """The ideal observer: it is told the hall without noise and the list of laws, but not what was drawn."""
+    """Write the answer of the ideal observer.
+
+    The observer knows the hall without noise and the list of laws, but no drawn value.
+    """
     from .ideal import answer as ideal_answer
 
     ideal_answer(recording, out)
 
 
 def plain(recording: Path, out: Path) -> None:
-    """The calibration of the instrument in a network adjustment, and its global test."""
-    _calibrated(recording, out, robust=False)
+    """Write the answer of the calibration of the instrument in a network adjustment, with its global test."""
+    _write_calibration(recording, out, robust=False)
 
 
 def snooping(recording: Path, out: Path) -> None:
-    """The same with data snooping (Baarda 1968): readings that fail are left out, each tested again at the end."""
-    _calibrated(recording, out, robust=True)
+    """Write the answer of the calibration with data snooping (Baarda 1968).
+
+    Readings that fail the test are rejected, and each is tested again at the end.
+    """
+    _write_calibration(recording, out, robust=True)
 
 
 def huber(recording: Path, out: Path) -> None:
-    """The same by a robust estimator: Huber's function at 1.5 sigma (1964), by iterated weights of single readings."""
+    """Write the answer of the calibration by Huber's robust estimator (1964).
+
+    Readings with residuals above 1.5 sigma have smaller weights, in iterated adjustments.
+    """
     import numpy as np
 
     from ltsim.adjustment import adjust
     from ltsim.physics.model.construction import misalignment_construction
 
-    read = _calibrated(recording, out, robust=False)
-    adjustment = adjust(read, misalignment_construction())
+    data = _write_calibration(recording, out, robust=False)
+    adjustment = adjust(data, misalignment_construction())
     for _ in range(HUBER_ROUNDS - 1):
-        size = np.abs(np.nan_to_num(adjustment.residuals / read.reading_sigmas())) / HUBER
+        size = np.abs(np.nan_to_num(adjustment.residuals / data.reading_sigmas())) / HUBER
         adjustment = adjust(
-            read, misalignment_construction(), sigma=read.reading_sigmas() * np.sqrt(np.maximum(size, 1.0))
+            data, misalignment_construction(), sigma=data.reading_sigmas() * np.sqrt(np.maximum(size, 1.0))
         )
-    _targets(out, read.targets, 1e3 * adjustment.state.target_points)
+    _targets(out, data.targets, 1e3 * adjustment.state.target_points)
 
 
 def gama(recording: Path, out: Path) -> None:
-    """GNU Gama's `gama-local`, by Cholesky: its default loses points. Constants and tilts are the calibration's."""
+    """Write the answer of GNU Gama's `gama-local`.
+
+    It uses the Cholesky algorithm, because the default algorithm loses points. Instrument constants and tilts are
+    estimated by the calibration, and subtracted before.
+    """
     import numpy as np
     from defusedxml import ElementTree
     from scipy.stats import chi2
@@ -82,35 +98,39 @@ def gama(recording: Path, out: Path) -> None:
     from ltsim.geometry.polar import from_polar, swap_front_and_raw, to_polar
     from ltsim.geometry.rigid import rotation_about_z
 
-    read = lt.read(str(recording))
-    adjustment = lt.calibrate(read, advise=False)
-    ideal = corrected_readings(read, adjustment.construction, adjustment.estimates[read.instrument])
+    data = lt.read(str(recording))
+    adjustment = lt.calibrate(data, advise=False)
+    ideal = corrected_readings(data, adjustment.construction, adjustment.estimates[data.instrument])
     upright = np.stack(
         [rotation_about_z(-np.arctan2(r[1, 0], r[0, 0])) @ r for r in adjustment.adjustment.state.station_rotations]
     )
-    local = from_polar(swap_front_and_raw(ideal, read.face))
-    level = swap_front_and_raw(to_polar(np.einsum("nij,nj->ni", upright[read.station], local)), read.face)
-    stations = {name: s.model_copy(update={"levelled": True}) for name, s in read.setup.stations.items()}
-    setup = read.setup.model_copy(update={"stations": stations})
-    lt.write(read.replace(setup=setup, readings=level), out / "network.gkf", format="gama-local")
-    words = [str(out / "network.gkf"), "--algorithm", "cholesky", "--xml", str(out / "adjusted.xml"), "--cov-band", "0"]
-    subprocess.run([NEEDED["gama"], *words], check=True, timeout=LIMIT_S, capture_output=True)
+    local = from_polar(swap_front_and_raw(ideal, data.face))
+    level = swap_front_and_raw(to_polar(np.einsum("nij,nj->ni", upright[data.station], local)), data.face)
+    stations = {name: s.model_copy(update={"levelled": True}) for name, s in data.setup.stations.items()}
+    setup = data.setup.model_copy(update={"stations": stations})
+    lt.write(data.replace(setup=setup, readings=level), out / "network.gkf", format="gama-local")
+    files = [str(out / "network.gkf"), "--xml", str(out / "adjusted.xml")]
+    command = [EXECUTABLES["gama"], *files, "--algorithm", "cholesky", "--cov-band", "0"]
+    subprocess.run(command, check=True, timeout=LIMIT_S, capture_output=True)
     adjusted = ElementTree.parse(out / "adjusted.xml").getroot()
     points = {p[0].text: [1e3 * float(c.text) for c in p[1:]] for p in adjusted.iterfind(".//{*}adjusted/{*}point")}
-    _targets(out, read.targets, [points[name] for name in read.targets])
+    _targets(out, data.targets, [points[name] for name in data.targets])
     squares, dof = (float(adjusted.findtext(f".//{{*}}{tag}")) for tag in ("sum-of-squares", "degrees-of-freedom"))
     _verdict(out, float(chi2.sf(squares, dof)))
 
 
-def _calibrated(recording: Path, out: Path, *, robust: bool) -> Any:
-    """Targets of the calibration, and the global test before anything is left out; such programs tell no cause."""
+def _write_calibration(recording: Path, out: Path, *, robust: bool) -> Any:
+    """Recording; its targets after calibration and the global test before rejections are written.
+
+    Programs of this kind report no cause, so the findings are empty.
+    """
     import ltsim as lt
 
-    read = lt.read(str(recording))
-    adjustment = lt.calibrate(read, advise=False, robust=robust)
+    data = lt.read(str(recording))
+    adjustment = lt.calibrate(data, advise=False, robust=robust)
     adjustment.to_dataframe("targets").to_csv(out / "targets.csv", index=False)
-    _verdict(out, float((lt.calibrate(read, advise=False) if robust else adjustment).fit.p_value))
-    return read
+    _verdict(out, float((lt.calibrate(data, advise=False) if robust else adjustment).fit.p_value))
+    return data
 
 
 def _verdict(out: Path, p: float) -> None:
@@ -125,21 +145,25 @@ def _targets(out: Path, names: Sequence[str], places_mm: Any) -> None:
 
 PROGRAMS: tuple[Callable[[Path, Path], None], ...] = (ltsim, plain, snooping, huber, gama, ideal)
 ENTRANTS = {program.__name__: program for program in PROGRAMS}
-NEEDED = {"gama": "gama-local"}  # programs that have to be on the PATH
+EXECUTABLES = {"gama": "gama-local"}  # executables that must be on the PATH
 
 
-def answer(work: Path, name: str, command: str = "", jobs: int = 1) -> bool:
-    """Let an entrant answer all recordings that it has not answered yet, into `answers/NAME`; whether it could."""
-    program = NEEDED.get(name, "") if not command else ""
+def answer(work_folder: Path, name: str, command: str = "", jobs: int = 1) -> bool:
+    """True after a program has diagnosed all recordings without an answer; False if the program is not installed.
+
+    Answers are written to `answers/NAME`.
+    """
+    program = EXECUTABLES.get(name, "") if not command else ""
     if program and shutil.which(program) is None:
-        print(f"{name}: skipped, {program} is not on the PATH")
+        print(f"{name}: skipped, because {program} is not on the PATH")
         return False
-    folders = sorted(f for f in (work / RECORDINGS).iterdir() if f.is_dir())
-    open_folders = [f for f in folders if not (work / "answers" / name / f.name / STATUS).is_file()]
+    folders = sorted(f for f in (work_folder / RECORDINGS).iterdir() if f.is_dir())
+    open_folders = [f for f in folders if not (work_folder / "answers" / name / f.name / STATUS).is_file()]
     with ProcessPoolExecutor(jobs) as pool:
         list(
             pool.map(
-                partial(_answer_recording, answers=work / "answers" / name, name=name, command=command), open_folders
+                partial(_answer_recording, answers=work_folder / "answers" / name, name=name, command=command),
+                open_folders,
             )
         )
     return True
@@ -152,11 +176,11 @@ def _answer_recording(recording: Path, answers: Path, name: str, command: str) -
     with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
         try:
             if command:
-                words = [w.format(recording=recording, out=out) for w in shlex.split(command)]
-                subprocess.run(words, check=True, timeout=LIMIT_S, capture_output=True)
+                arguments = [part.format(recording=recording, out=out) for part in shlex.split(command)]
+                subprocess.run(arguments, check=True, timeout=LIMIT_S, capture_output=True)
             else:
                 ENTRANTS[name](recording, out)
-        except Exception as problem:  # an entrant that fails has not answered; the others go on
+        except Exception as problem:  # a program that fails has no answer; the other recordings are still diagnosed
             note = f"{type(problem).__name__}: {problem}"
     content: dict[str, Any] = {"seconds": time.perf_counter() - start, "problem": note}
     (out / STATUS).write_text(json.dumps(content) + "\n", encoding="utf-8")

@@ -1,6 +1,6 @@
-"""A hall, its targets, its trackers and the order of the work, drawn at random; nothing here knows of laws.
+"""Random hall with targets, trackers and a sequence of pointings; this module does not depend on laws.
 
-What a law may use is listed in RULES.md: time, order, distance, ... of each pointing, and a few things that are drawn.
+RULES.md lists the attributes that a law may use: time, order, distance etc. of each pointing, and random functions.
 """
 
 from dataclasses import dataclass
@@ -11,25 +11,29 @@ from .tracker import ARCSECOND, GUARANTEED, Array, Index, Pointings, sphere, tur
 
 WARMTH, LOAD = "hall_temperature_c", "press_load_kn"
 REST = 0.02
-"""Share of the guarantee that errors keep where two trackers work: both were corrected, or their difference is told."""
+"""Factor on the guaranteed instrument errors in recordings of two trackers, which are corrected: otherwise the
+difference of the two trackers would be an obvious finding.
+"""
 LENGTH_SIGMA = 2e-6
-"""[m] Of each known length."""
+"""[m] Standard deviation of each reference length."""
 LOOK = {"wall": (1.0, 0.0, 0.0), "floor": (0.0, 0.0, 1.0), "gallery": (0.0, -1.0, 0.0), "table": (0.0, 0.0, 1.0)}
-"""Where the nests of each group look, in the room; those of the known lengths, which belong to no group, look up."""
+"""Direction in which the nests of each group open, in the frame of the hall; nests of reference lengths open upwards.
+"""
 Draw = np.random.Generator
 
 
 @dataclass(frozen=True)
 class Size:
-    """What kind of hall: lengths in metres."""
+    """Kind of a hall; lengths in metres."""
 
     room: tuple[float, float, float]
     targets: tuple[int, int, int, int]
-    """On wall, floor, gallery and table."""
+    """Numbers of targets on wall, floor, gallery and table."""
     stations: tuple[int, int]
-    """Least and most."""
+    """Smallest and largest number of stations."""
     reach: float
-    """Farther targets are not measured, but each from three stations."""
+    """Largest distance [m] of a measured target, except that each target is measured from its three nearest stations.
+    """
 
 
 SIZES = {
@@ -40,110 +44,120 @@ SIZES = {
 
 @dataclass
 class Hall:
-    """Pointings with the truth they are made at, in the frame of the floor plan, and what a person knows of them."""
+    """Hall with true values in the frame of the floor plan, and the values that a recording declares.
+
+    The declared values are the yaw angles, groups, nest directions, columns, noise and reference lengths.
+    """
 
     size: Size
     pointings: Pointings
     yaw: Array
-    """(S,) [rad] As the floor plan has it."""
+    """(S,) [rad] Yaw angles in the floor plan."""
     groups: dict[str, Index]
     """Targets of each group."""
     normals: Array
-    """(T, 3) Where the nests look."""
+    """(T, 3) Direction in which each nest opens."""
     columns: dict[str, Array]
     noise: Array
-    """(3,) Range [m], range [1], angle across the beam [rad]."""
+    """(3,) Standard deviations: constant part [m] and proportional part [1] of the range, angle across the beam [rad].
+    """
     bars: Index
-    """(g, 2) Ends of the known lengths."""
+    """(g, 2) Targets at the ends of the reference lengths."""
 
     def __post_init__(self) -> None:
-        """What a law may follow: one value a pointing, in the order of the work; and names."""
+        """Compute the regressors that a law may use, one value per pointing, and the names."""
         p = self.pointings
         self.n, self.time = len(p), p.time  # [s]
         first = np.flatnonzero(np.diff(p.station, prepend=-1))
-        self.starts: Index = np.repeat(first, np.diff(first, append=self.n))  # row at which its set-up began
-        self.order = (np.arange(self.n) - self.starts).astype(np.float64)  # pointings made before in this set-up
-        self.since_setup = self.time - self.time[self.starts]  # [s] since the first pointing of this set-up
-        self.gap = np.diff(self.time, prepend=self.time[0])  # [s] since the pointing before, breaks included
-        self.local_points = p.local_points  # (n, 3) in the tracker's frame, on either face as on the front:
+        self.starts: Index = np.repeat(first, np.diff(first, append=self.n))  # row of the first pointing of the set-up
+        self.order = (np.arange(self.n) - self.starts).astype(np.float64)  # number of earlier pointings in the set-up
+        self.since_setup = self.time - self.time[self.starts]  # [s] since the first pointing of the set-up
+        self.gap = np.diff(self.time, prepend=self.time[0])  # [s] since the previous pointing, including breaks
+        self.local_points = p.local_points  # (n, 3) in the tracker's frame, for both faces as on the front face:
         self.distance, self.azimuth, self.elevation = self.local_points.T  # [m], [rad], [rad]
         self.back = (p.face == 2).astype(np.float64)  # 1 on the back face, 0 on the front
-        self.circle = within_a_turn(self.azimuth + np.pi * self.back)  # [rad] where the azimuth circle is read
-        self.aim, self.stand = p.points[p.target], p.position[p.station]  # (n, 3) [m] nest, tracker in the room
-        self.normal = self.normals[p.target]  # (n, 3) where the nest looks
+        self.circle = within_a_turn(self.azimuth + np.pi * self.back)  # [rad] angle at which the circle is read
+        self.aim, self.stand = p.points[p.target], p.position[p.station]  # (n, 3) [m] nest, tracker in the hall
+        self.normal = self.normals[p.target]  # (n, 3) direction in which the nest opens
         beam = (self.stand - self.aim) / self.distance[:, None]
-        self.incidence = np.arccos(np.clip((beam * self.normal).sum(axis=1), -1.0, 1.0))  # [rad] beam to normal
-        self.swing = within_a_turn(self.change(self.circle))  # [rad] turn of the head since the pointing before
+        self.incidence = np.arccos(np.clip((beam * self.normal).sum(axis=1), -1.0, 1.0))  # [rad] from beam to normal
+        self.swing = within_a_turn(self.change(self.circle))  # [rad] rotation of the head since the previous pointing
         total = np.cumsum(self.swing)
-        self.wound = total - total[self.starts]  # [rad] sum of all turns of the head since the set-up
+        self.wound = total - total[self.starts]  # [rad] sum of all rotations of the head in the set-up
         self.stations = tuple(f"S{s + 1}" for s in range(len(p.position)))
         self.targets = tuple(f"P{t + 1:02d}" for t in range(len(p.points)))
-        self.trackers = ("A", "B")[: len(p.constants)]  # one tracker, or two that take turns
+        self.trackers = ("A", "B")[: len(p.constants)]  # one tracker, or two that alternate over the stations
         range_ = self.noise[0] + self.noise[1] * self.distance
         across = np.full(self.n, self.noise[2])
-        self.sigma = np.stack([range_, across / np.cos(self.elevation), across], axis=1)  # (n, 3) stated
+        self.sigma = np.stack([range_, across / np.cos(self.elevation), across], axis=1)  # (n, 3) declared
         self.lengths = np.sqrt((np.diff(p.points[self.bars], axis=1) ** 2).sum(axis=2))[:, 0]  # (g,) [m] true
 
     @property
     def warmth(self) -> Array:
-        """[K] Above the mean; LookupError where nobody wrote it down."""
+        """(n,) [K] Temperature of the hall minus its mean; LookupError if the recording has no such column."""
         return np.asarray(self.columns[WARMTH] - self.columns[WARMTH].mean())
 
     @property
     def load(self) -> Array:
-        """Of the press, 0 to about 1; LookupError where nobody wrote it down."""
+        """(n,) Load of the press, from 0 to about 1; LookupError if the recording has no such column."""
         return np.asarray(self.columns[LOAD] / 100.0)
 
     def change(self, values: Array) -> Array:
-        """Value less that of the pointing before; 0 at the first of a set-up."""
+        """(n,) Value minus that of the previous pointing; 0 at the first pointing of a set-up."""
         return np.where(self.order > 0, np.diff(values, prepend=values[0]), 0.0)
 
-    def fading(self, given: Array, memory: float) -> Array:
-        """What is left of all that was given up to each pointing, where it dies away with a memory [s]."""
+    def fading(self, inputs: Array, memory: float) -> Array:
+        """(n,) Sum of all inputs (n,) up to each pointing, with exponential decay of the time constant `memory` [s]."""
         fractions, sum_of_fading, remainder = np.exp(-self.gap / memory), 0.0, np.empty(self.n)
-        for i, (share, more) in enumerate(zip(fractions.tolist(), np.asarray(given, float).tolist(), strict=True)):
-            sum_of_fading = share * sum_of_fading + more
+        added = np.asarray(inputs, float).tolist()
+        for i, (fraction, increment) in enumerate(zip(fractions.tolist(), added, strict=True)):
+            sum_of_fading = fraction * sum_of_fading + increment
             remainder[i] = sum_of_fading
         return remainder
 
     def lagging(self, values: Array, delay: float) -> Array:
-        """Values as a thing has them that follows with a delay [s]; it had the first of them when the work began."""
-        given = (1.0 - np.exp(-self.gap / delay)) * values
-        given[0] = values[0]
-        return self.fading(given, delay)
+        """(n,) Values (n,) after a first-order lag with the time constant `delay` [s]; no lag at the first pointing."""
+        inputs = (1.0 - np.exp(-self.gap / delay)) * values
+        inputs[0] = values[0]
+        return self.fading(inputs, delay)
 
     def latched(self, values: Array, low: float, high: float) -> Array:
-        """1 once values rose above the high mark, until they fall below the low one; 0 when a set-up begins."""
+        """(n,) Hysteresis: 1 from the pointing at which values exceed `high` until they fall below `low`.
+
+        Otherwise 0.
+
+        The state is 0 at the beginning of each set-up.
+        """
         is_outside_band = (values < low) | (values > high) | (self.order == 0)
         last = np.maximum.accumulate(np.where(is_outside_band, np.arange(self.n), 0))
         return np.asarray(values[last] > high, dtype=np.float64)
 
     def windows(self, rng: Draw) -> Array:
-        """1 while a machine runs that works for a part of every cycle."""
-        cycle, share = rng.uniform(900.0, 2400.0), rng.uniform(0.3, 0.6)
-        return (np.mod(self.time + rng.uniform(0.0, cycle), cycle) < share * cycle).astype(np.float64)
+        """(n,) 1 while a machine runs, which is a random fraction of a random cycle; otherwise 0."""
+        cycle, fraction = rng.uniform(900.0, 2400.0), rng.uniform(0.3, 0.6)
+        return (np.mod(self.time + rng.uniform(0.0, cycle), cycle) < fraction * cycle).astype(np.float64)
 
     def walk(self, rng: Draw) -> Array:
-        """A random walk from pointing to pointing, with a variance of one at the end."""
+        """(n,) Random walk over the pointings, with variance 1 at the end."""
         return np.cumsum(rng.standard_normal(self.n)) / np.sqrt(self.n)
 
     def random_station(self, rng: Draw) -> Array:
-        """1 where a station that is drawn is the one that measures."""
+        """(n,) 1 for pointings from one random station, otherwise 0."""
         return (self.pointings.station == rng.integers(len(self.stations))).astype(np.float64)
 
     def random_tracker(self, rng: Draw) -> Array:
-        """1 where one of two trackers measures; LookupError where there is one."""
+        """(n,) 1 for pointings of one of two trackers, otherwise 0; LookupError if there is only one tracker."""
         if len(self.trackers) < 2:
-            raise LookupError("one tracker only")
+            raise LookupError("the hall has only one tracker")
         return (self.pointings.tracker == rng.integers(2)).astype(np.float64)
 
     def group(self, name: str) -> Array:
-        """1 where the target belongs to `wall`, `floor`, `gallery` or `table`."""
+        """(n,) 1 for pointings to targets of the group `wall`, `floor`, `gallery` or `table`, otherwise 0."""
         return np.isin(self.pointings.target, self.groups[name]).astype(np.float64)
 
 
 def draw_hall(rng: Draw, kind: str = "hall") -> Hall:
-    """Everything but what is wrong."""
+    """Random hall without a cause."""
     size = SIZES[kind]
     points, groups, normals = _targets(rng, size)
     position = _stations(rng, points, size)
@@ -164,14 +178,14 @@ def draw_hall(rng: Draw, kind: str = "hall") -> Hall:
 
 
 def _axes(yaw: float, lean: Array) -> Array:
-    """(3, 3) Axes of a tracker in the room, as columns."""
+    """(3, 3) Axes of a tracker in the frame of the hall, as columns."""
     c, s = np.cos(yaw), np.sin(yaw)
     upright = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
     return np.asarray(turned(upright, np.tile(lean, (3, 1))).T)
 
 
 def _targets(rng: Draw, size: Size) -> tuple[Array, dict[str, Index], Array]:
-    """Points (T, 3) [m] in the room, members of each group, and where the nests look (T, 3); the bars come last."""
+    """Points (T, 3) [m], members of each group, and nest directions (T, 3); ends of reference lengths come last."""
     length, width, height = size.room
     walls, floors, galleries, tables = size.targets
     grid = np.array([[0.0, 0.0, 0.0], [1.8, 0.0, 0.0], [0.0, 1.4, 0.0], [1.8, 1.4, 0.0], [0.9, 0.7, 0.2]])
@@ -200,7 +214,7 @@ def _targets(rng: Draw, size: Size) -> tuple[Array, dict[str, Index], Array]:
 
 
 def _stations(rng: Draw, points: Array, size: Size) -> Array:
-    """(S, 3) [m] in the room: apart from each other and from the targets, none of which is too steep."""
+    """(S, 3) [m] Random stations with distance from each other and from targets, and without steep sights."""
     places: list[Array] = []
     count = int(rng.integers(size.stations[0], size.stations[1] + 1))
     while len(places) < count:
@@ -214,14 +228,14 @@ def _stations(rng: Draw, points: Array, size: Size) -> Array:
 
 
 def _sights(points: Array, position: Array, reach: float) -> list[Index]:
-    """Targets that each station measures: those within reach, and each target from the three nearest stations."""
+    """Targets that each station measures: those within `reach` [m], and each target from its three nearest stations."""
     gap = np.sqrt(((points - position[:, None]) ** 2).sum(axis=2))
     nearest = np.argsort(np.argsort(gap, axis=0), axis=0) < 3
     return [np.flatnonzero((gap[s] < reach) | nearest[s]) for s in range(len(position))]
 
 
 def _work(rng: Draw, sights: list[Index], small: bool) -> tuple[Index, Index, Index, Index, Array]:
-    """Station, target, face, repeat and time (n,) [s] of each pointing; a large hall is gone round once."""
+    """Station, target, face, repeat and time (n,) [s] of each pointing; a large hall is measured in one round."""
     faces, rounds = int(rng.choice([1, 2], p=[0.35, 0.65])), int(rng.integers(1, 3)) if small else 1
     rows, times, clock = [], [], 0.0
     for s, sighted in enumerate(sights):
@@ -238,7 +252,7 @@ def _work(rng: Draw, sights: list[Index], small: bool) -> tuple[Index, Index, In
 
 
 def _columns(rng: Draw, time: Array) -> dict[str, Array]:
-    """Warmth of the hall and load of a press, where somebody wrote them down."""
+    """Optional columns: temperature of the hall, load of a press."""
     hours, columns = time / 3600.0, {}
     if rng.random() < 0.7:
         wave = 0.3 * np.sin(2 * np.pi * (hours / rng.uniform(1.0, 2.5) + rng.random()))

@@ -1,4 +1,7 @@
-"""The ideal observer: it knows hall and list of laws, not the draw; Monte Carlo over the laws' constants. RULES.md."""
+"""Ideal observer, which knows the hall and the list of laws, but no drawn value (RULES.md).
+
+Its marginal likelihoods are Monte Carlo means over draws of the constants of each law.
+"""
 
 import csv
 import json
@@ -15,46 +18,48 @@ from scipy.special import logsumexp
 from .hall import LENGTH_SIGMA, Hall
 from .law import OBSERVABLES, Cause, Draw, laws_of
 from .laws.catalogue import KNOWN
-from .make import TRUTH, Case, drawn
+from .make import TRUTH, Case, draw_case
 from .measure import Model
 from .network import STEPS, Network
-from .score import SHOWN
+from .score import MIN_SHOWN_FRACTION
 from .tracker import ARCSECOND, GUARANTEED, Array, Change, Pointings, within_a_turn
 
 LawFunction = Callable[[Hall, Draw], Cause]
-DRAWS, MORE, CLOSE = 100, 400, 6
-"""Draws of each law; further draws of the laws with the largest evidence, and how many laws these are."""
+DRAWS, FURTHER_DRAWS, FURTHER_LAWS = 100, 400, 6
+"""Draws of each law; further draws of the laws with the largest evidence; number of laws with further draws."""
 STRENGTHS = np.geomspace(10.0, 3000.0, 16)
-"""Expected strengths, equally likely: log-uniform sizes."""
+"""Grid of expected strengths with equal prior probability, that is, log-uniform."""
 NULLS = 99
-"""Simulated recordings without a cause: their rank is the p-value."""
+"""Number of simulated recordings without a cause; the p-value is the rank of the recording among them."""
 LEVEL = 0.05
 
 
 @dataclass(frozen=True)
 class Linear:
-    """Derivatives of the whitened readings by what a change holds, one block (n, 3, k) each."""
+    """Derivatives of the whitened readings by the parts of a `Change`, one block (n, 3, k) each."""
 
     network: Network
     blocks: dict[str, Array]
 
     @classmethod
     def of(cls, network: Network) -> "Linear":
-        """Central differences at the truth of the hall."""
+        """Central differences at the true values of the hall."""
         hall = network.hall
         steps = {"target": STEPS, "station": STEPS, "turn": STEPS, "constants": GUARANTEED}
-        blocks = {what: _slopes(hall.pointings, what, step) / hall.sigma[:, :, None] for what, step in steps.items()}
+        blocks = {
+            part: _part_derivatives(hall.pointings, part, step) / hall.sigma[:, :, None] for part, step in steps.items()
+        }
         return cls(network, blocks)
 
     def signature(self, change: Change) -> Array:
-        """(m,) Whitened change of the readings, to first order."""
+        """(m,) Whitened change of the readings and lengths, to first order."""
         hall, parts = self.network.hall, change.parts
         whole = np.zeros((hall.n, 3))
         if "reading" in parts:
             whole += parts["reading"] / hall.sigma
-        for what, block in self.blocks.items():
-            if what in parts:
-                whole += (block @ parts[what][:, :, None])[:, :, 0]
+        for part, block in self.blocks.items():
+            if part in parts:
+                whole += (block @ parts[part][:, :, None])[:, :, 0]
         rows = np.zeros(len(self.network.design))
         rows[: whole.size] = whole.ravel()
         if change.lengths is not None:
@@ -62,12 +67,12 @@ class Linear:
         return rows
 
 
-def _slopes(p: Pointings, what: str, steps: Array) -> Array:
-    """(n, 3, k) Derivatives of the readings by a part of `Change`."""
+def _part_derivatives(p: Pointings, part: str, steps: Array) -> Array:
+    """(n, 3, k) Derivatives of the readings by one part of `Change`."""
     columns = []
     for step in np.diag(steps):
         moved = np.tile(step, (len(p), 1))
-        change = p.readings(Change(**{what: moved})) - p.readings(Change(**{what: -moved}))
+        change = p.readings(Change(**{part: moved})) - p.readings(Change(**{part: -moved}))
         change[:, 1] = within_a_turn(change[:, 1])
         columns.append(change / (2 * step.sum()))
     return np.stack(columns, axis=2)
@@ -75,7 +80,11 @@ def _slopes(p: Pointings, what: str, steps: Array) -> Array:
 
 @dataclass(frozen=True)
 class Draws:
-    """Draws of one law in one hall; `signals` (m, d, k) of a mean, or `variances` (3 n, d) added, both at size one."""
+    """Draws of one law in one hall, at size one.
+
+    `signals` (m, d, k) are whitened changes of the readings; a law of the noise has `variances` (3 n, d) instead, which
+    are added to the variance of the readings.
+    """
 
     causes: list[Cause]
     signals: Array | None
@@ -83,7 +92,7 @@ class Draws:
 
     @classmethod
     def of(cls, law: LawFunction, linear: Linear, rng: Draw, number: int) -> "Draws | None":
-        """A number of draws; None where the hall lacks what the law needs."""
+        """`number` draws of a law; None if the hall lacks something that the law needs."""
         causes = []
         for _ in range(number):
             try:
@@ -103,7 +112,7 @@ class Draws:
         return cls(causes, np.moveaxis(np.array(signals), 2, 0), None)
 
     def evidence(self, network: Network, residuals: Array) -> Array:
-        """(d, s, r) Log Bayes factors against no cause: draws, sizes, residuals (m, r)."""
+        """(d, s, r) Log Bayes factors against no cause, by draw, size and residual vector of `residuals` (m, r)."""
         if self.variances is not None:
             return self._noise_evidence(network, residuals)
         values, _, scores = self._eigen(network, residuals)
@@ -113,7 +122,7 @@ class Draws:
         return np.asarray(0.5 * share @ scores**2 - 0.5 * np.log1p(gain).sum(axis=2)[:, :, None])
 
     def _eigen(self, network: Network, residuals: Array) -> tuple[Array, Array, Array]:
-        """Eigenvalues (d, k) and vectors (d, k, k) of projected Gram matrices; products (d, k, r) with residuals."""
+        """Eigenvalues (d, k) and eigenvectors (d, k, k) of projected Gram matrices; scores (d, k, r) of residuals."""
         assert self.signals is not None
         rows, draws, size = self.signals.shape
         flat = self.signals.reshape(rows, -1)
@@ -124,7 +133,7 @@ class Draws:
         return np.maximum(values, 0.0), vectors, np.swapaxes(vectors, 1, 2) @ scores
 
     def sizes(self, network: Network) -> Array:
-        """(d, s) Sizes of the added variance at which each draw has each strength; 0 where none has."""
+        """(d, s) Factors on the added variance of each draw for each strength of `STRENGTHS`."""
         assert self.variances is not None
         grid = np.geomspace(1e-3, 1e3, 60)
         log_evidences = np.zeros((self.variances.shape[1], len(STRENGTHS)))
@@ -143,7 +152,7 @@ class Draws:
         return np.array(values)
 
     def posterior(self, network: Network, residual: Array) -> tuple[Array, Array, Cause]:
-        """Posterior mean of the whitened change (m,) and of the variance factors (3 n,), and the likeliest draw."""
+        """Posterior means of whitened change (m,) and variance factors (3 n,), and the most probable draw."""
         evidence = self.evidence(network, residual[:, None])[:, :, 0]
         weights = np.exp(evidence - logsumexp(evidence))
         best = self.causes[int(np.argmax(weights.sum(axis=1)))]
@@ -159,13 +168,16 @@ class Draws:
 
 
 def log_evidence(evidence: Array) -> Array:
-    """(r,) Log marginal likelihood ratio: mean over draws and sizes."""
+    """(r,) Log of the marginal likelihood ratio: mean of exp(evidence) over draws and sizes."""
     return np.asarray(logsumexp(evidence, axis=(0, 1)) - np.log(evidence.shape[0] * evidence.shape[1]))
 
 
 @dataclass(frozen=True)
 class Opinion:
-    """The law with the largest marginal likelihood, its probability, the p-value of no cause, and the model."""
+    """Law with the largest marginal likelihood, its probability, and the p-value of no cause.
+
+    `change` (m,) and `factor` (3 n,) are the posterior means of its model; `cause` is the most probable draw.
+    """
 
     law: str
     probability: float
@@ -176,7 +188,7 @@ class Opinion:
 
 
 def observe(network: Network, whitened: Array, laws: dict[str, LawFunction], rng: Draw) -> Opinion:
-    """The opinion on whitened differences (m,) between recording and hall."""
+    """Opinion on the whitened differences (m,) between a recording and the true values of its hall."""
     linear = Linear.of(network)
     noise = rng.standard_normal((len(whitened), NULLS))
     residuals = network.residual(np.column_stack([whitened, noise]))
@@ -186,21 +198,21 @@ def observe(network: Network, whitened: Array, laws: dict[str, LawFunction], rng
     p_value = float((1 + (whole[1:] >= whole[0]).sum()) / (NULLS + 1))
     evidence = dict(zip(draws, first[:, 0].tolist(), strict=True))
     residual = residuals[:, 0]
-    for name in sorted(evidence, key=lambda n: -evidence[n])[:CLOSE]:
-        more = Draws.of(laws[name], linear, rng, MORE)
-        if more is not None:
-            draws[name] = more
-            evidence[name] = float(log_evidence(more.evidence(network, residual[:, None]))[0])
+    for name in sorted(evidence, key=lambda n: -evidence[n])[:FURTHER_LAWS]:
+        further_draws = Draws.of(laws[name], linear, rng, FURTHER_DRAWS)
+        if further_draws is not None:
+            draws[name] = further_draws
+            evidence[name] = float(log_evidence(further_draws.evidence(network, residual[:, None]))[0])
     best = max(evidence, key=lambda n: evidence[n])
     probability = float(np.exp(evidence[best] - logsumexp([np.log(len(laws)), *evidence.values()])))
     return Opinion(best, probability, p_value, *draws[best].posterior(network, residual))
 
 
 def answer(recording: Path, out: Path) -> None:
-    """Answer one recording, in the hall that its truth names; nothing else of the truth is used."""
+    """Write the answer for one recording; of the truth, only the seed of the hall and the list of laws are used."""
     truth = json.loads((recording.parent.parent / TRUTH).read_text(encoding="utf-8"))[recording.name]
     case = Case.of(truth)
-    hall, network, _, _ = drawn(case, Counter())
+    hall, network, _, _ = draw_case(case, Counter())
     laws: dict[str, LawFunction] = {**KNOWN, **laws_of(case.laws)}
     readings, lengths = read_recording(recording, hall)
     whitened = network.whitened(readings - network.base, lengths - hall.lengths)
@@ -222,11 +234,11 @@ def answer(recording: Path, out: Path) -> None:
 
 
 def finding_of(network: Network, opinion: Opinion) -> dict[str, Any]:
-    """The finding of an opinion: name, place of the likeliest draw, observables of the model."""
+    """Finding of an opinion: name, place of the most probable draw, observables of the model."""
     words = opinion.cause.words
     noise = bool((opinion.factor != 1.0).any())
     parts = (network.noise_strengths(opinion.factor) if noise else network.mean_strengths(opinion.change))[:3]
-    shown = [n for n, part in zip(OBSERVABLES, parts.tolist(), strict=True) if part > SHOWN * parts.sum()]
+    shown = [n for n, part in zip(OBSERVABLES, parts.tolist(), strict=True) if part > MIN_SHOWN_FRACTION * parts.sum()]
     where = {key: words.get(key, []) for key in ("stations", "targets", "instruments")}
     where["observables"] = words.get("observables", shown)
     where["covariates"] = [alternatives[0] for alternatives in words.get("follows", ())]
@@ -235,7 +247,7 @@ def finding_of(network: Network, opinion: Opinion) -> dict[str, Any]:
 
 
 def adjusted_points(network: Network, right: Array, factor: Array | None) -> Array:
-    """(T, 3) [m] Targets by the least squares of whitened differences (m,), with factors on the variance."""
+    """(T, 3) [m] Targets adjusted to whitened differences (m,), with factors on the variance of the readings."""
     weight = np.ones(len(right))
     if factor is not None:
         weight[: len(factor)] = 1.0 / np.sqrt(factor)

@@ -1,4 +1,7 @@
-"""How a law is written: what it turns, moves or scatters, by how much at every pointing. RULES.md has an example."""
+"""Functions with which a law is written: changes of readings, constants, stations, targets or noise.
+
+RULES.md has an example.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -14,9 +17,9 @@ from .tracker import CONSTANTS, NOTHING, Array, Change
 OBSERVABLES = ("distance", "azimuth", "elevation")
 MICRO = 1e-6
 UP, OUT = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
-"""Upwards, and away from the wall."""
-UNTOUCHED = 1e-9
-"""Share of the largest amount below which a pointing is not touched."""
+"""Directions upwards (`UP`) and away from the wall (`OUT`)."""
+UNTOUCHED_FRACTION = 1e-9
+"""Fraction of the largest amount up to which a pointing counts as not changed."""
 LAWS = Path(__file__).resolve().parent / "laws"
 FRESH, CATALOGUE = "fresh_", "catalogue"
 __all__ = [
@@ -27,23 +30,23 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Cause:
-    """What is hidden in a hall: changes at one unit each, how many units of each, and the truth in words."""
+    """Cause of a recording: changes `parts` at size one, their sizes `values`, and its description for the truth."""
 
     parts: tuple[Change, ...] = ()
     values: Array = field(default_factory=lambda: np.zeros(0))
     words: dict[str, Any] = field(default_factory=dict)
     names: tuple[str, ...] = ()
-    """Parameters of an effect of the catalogue, and their units."""
+    """Names (`names`) and units (`units`) of the parameters of a catalogue effect."""
     units: tuple[str, ...] = ()
 
     @property
     def change(self) -> Change:
-        """All parts together."""
+        """Sum of all parts at their sizes."""
         return sum((part.scaled(v) for v, part in zip(self.values.tolist(), self.parts, strict=True)), NOTHING)
 
     @property
     def truth(self) -> dict[str, Any]:
-        """What is sealed of it, but for its strength."""
+        """Description of the cause in the truth file, without its strength."""
         listed = zip(self.names, self.values.tolist(), self.units, strict=False)
         parameters = [{"name": n, "value": v, "unit": u} for n, v, u in listed]
         return {"coefficients": len(self.parts)} | self.words | {"parameters": parameters}
@@ -51,7 +54,11 @@ class Cause:
 
 @dataclass(frozen=True)
 class Law:
-    """A law with its name and what it follows: a tuple of alternatives each; `optional` ones need not be told."""
+    """Law with its name and its regressors.
+
+    `follows` has a tuple of accepted words for each quantity on which the law depends; words in `optional` are also
+    accepted in a finding.
+    """
 
     name: str
     text: str
@@ -62,7 +69,7 @@ class Law:
     group: str
 
     def __call__(self, h: Hall, rng: Draw) -> Cause:
-        """The law with its constants drawn."""
+        """Cause with drawn constants of the law."""
         change = self.draw(h, rng)
         words = {"text": self.text, "follows": self.follows, "may": self.optional, "group": self.group}
         words["coefficients"] = self.signals
@@ -75,10 +82,11 @@ _REGISTRY: dict[str, Law] = {}
 def law(
     *follows: str, may: str = "", signals: int = 1
 ) -> Callable[[Callable[[Hall, Draw], Change]], Callable[[Hall, Draw], Change]]:
-    """Declare a law that follows all of these covariates, alternatives as `"time|approach"`; `may`: it may be told too.
+    """Decorator that registers a law with the quantities on which it depends.
 
-    `signals`: the number of independent signals of which the law is the sum, each with a coefficient.
-    The words are those of RULES.md; the law's name is the function's.
+    Accepted words for one quantity are separated as in `"time|approach"`; `may` lists further accepted words; `signals`
+    is the number of independent signals of which the law is the sum, each with a coefficient. RULES.md lists the
+    permitted words; the name of the law is that of the function.
     """
 
     def keep(draw: Callable[[Hall, Draw], Change]) -> Callable[[Hall, Draw], Change]:
@@ -93,20 +101,20 @@ def law(
 
 
 def laws_of(groups: tuple[str, ...]) -> dict[str, Law]:
-    """Laws of the files that are named, `used` for all that are not fresh, `fresh` for all that are."""
+    """Laws of the named files; `used` selects all files that are not fresh, `fresh` all fresh files."""
     files = sorted(f.stem for f in LAWS.glob("[a-z]*.py") if f.stem != CATALOGUE)
     of = {"used": [f for f in files if not f.startswith(FRESH)], "fresh": [f for f in files if f.startswith(FRESH)]}
     chosen = [f for g in groups for f in of.get(g, [g])]
     unknown = [g for g in chosen if g not in files]
     if unknown:
-        raise ValueError(f"there is no file of laws called {', '.join(unknown)}; there are {', '.join(files)}")
+        raise ValueError(f"files of laws {', '.join(unknown)} do not exist; choose from {', '.join(files)}")
     for file in chosen:
         import_module(f"{__package__}.laws.{file}")
     return {name: law for name, law in sorted(_REGISTRY.items()) if law.group in chosen}
 
 
 def reads(h: Hall, observable: str, amount: Array) -> Change:
-    """A reading changes by amounts (n,) [um, urad]; the raw elevation of the back face runs backwards by itself."""
+    """Change of an observable by amounts (n,) [um, urad]; the raw elevation on the back face has the opposite sign."""
     change = np.zeros((h.n, 3))
     column = OBSERVABLES.index(observable)
     change[:, column] = MICRO * amount
@@ -116,46 +124,52 @@ def reads(h: Hall, observable: str, amount: Array) -> Change:
 
 
 def varies(h: Hall, constant: str, amount: Array) -> Change:
-    """A constant of the tracker, one of `tracker.CONSTANTS`, varies by amounts (n,) [um, urad; of range-scale ppm]."""
+    """Change of a tracker constant (`tracker.CONSTANTS`) by amounts (n,) [um, urad; ppm for range-scale]."""
     change = np.zeros((h.n, len(CONSTANTS)))
     change[:, CONSTANTS.index(constant)] = MICRO * amount
     return Change(constants=change)
 
 
 def moves(h: Hall, amount: Array, way: Array) -> Change:
-    """The target moves by amounts (n,) [um] along a way (3,) or (n, 3) in the room, `h.normal` for out of its nest."""
+    """Motion of the target by amounts (n,) [um] in a direction (3,) or (n, 3) of the hall.
+
+    `h.normal`: out of the nest.
+    """
     return Change(target=MICRO * np.asarray(amount)[:, None] * way)
 
 
 def shifts(h: Hall, amount: Array, way: Array) -> Change:
-    """The stand moves by amounts (n,) [um] along a way (3,) or (n, 3) in the room."""
+    """Motion of the stand by amounts (n,) [um] in a direction (3,) or (n, 3) of the hall."""
     return Change(station=MICRO * np.asarray(amount)[:, None] * way)
 
 
 def leans(h: Hall, amount: Array, about: Array) -> Change:
-    """The stand turns by amounts (n,) [urad] about an axis (3,) or (n, 3) in the room: level ones lean, `UP` turns."""
+    """Rotation of the stand by amounts (n,) [urad] about an axis (3,) or (n, 3).
+
+    Horizontal axes tilt it, `UP` turns it.
+    """
     return Change(turn=MICRO * np.asarray(amount)[:, None] * about)
 
 
 def scatters(h: Hall, observables: str, amount: Array) -> Change:
-    """Variance is added to readings, such as `"azimuth elevation"`, by amounts (n,) in units of the stated one."""
+    """Added variance of observables such as `"azimuth elevation"`, by amounts (n,) in units of the declared one."""
     is_changed = np.array([name in observables.split() for name in OBSERVABLES], dtype=np.float64)
     return Change(variance=np.asarray(amount)[:, None] * is_changed)
 
 
 def gauge(h: Hall, amount: Array) -> Change:
-    """The certificate of the known lengths is wrong by amounts (g,) [um]."""
+    """Error of the certified reference lengths by amounts (g,) [um]."""
     return Change(lengths=MICRO * np.asarray(amount, dtype=np.float64))
 
 
 def level(rng: Draw) -> Array:
-    """(3,) A level direction."""
+    """(3,) Random horizontal direction."""
     angle = rng.uniform(-np.pi, np.pi)
     return np.array([np.cos(angle), np.sin(angle), 0.0])
 
 
 def carriers(change: Change) -> list[str]:
-    """What a change turns, moves or scatters: readings, constants of the tracker, station, targets, gauge, noise."""
+    """Responses of a change: names of observables, constants of the tracker, station, targets, gauge, noise."""
     responses = []
     for name, part in change.parts.items():
         columns = np.flatnonzero(np.abs(part).max(axis=0)).tolist()
@@ -172,12 +186,12 @@ def carriers(change: Change) -> list[str]:
 
 
 def place(h: Hall, change: Change) -> dict[str, list[str]]:
-    """One station, one of two trackers, or some targets that a change is confined to; otherwise everywhere."""
+    """Station, tracker or targets to which a change is confined; empty lists for a change that acts everywhere."""
     places: dict[str, list[str]] = {"stations": [], "targets": [], "instruments": []}
     parts = {name: np.abs(part).max(axis=1) for name, part in change.parts.items() if name != "lengths"}
     p, hit = h.pointings, np.zeros(h.n, dtype=bool)
     for amount in parts.values():
-        hit |= amount > UNTOUCHED * amount.max()
+        hit |= amount > UNTOUCHED_FRACTION * amount.max()
     stations, trackers, targets = (np.unique(index[hit]) for index in (p.station, p.tracker, p.target))
     if len(stations) == 1:
         places["stations"] = [h.stations[stations[0]]]

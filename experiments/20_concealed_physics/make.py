@@ -1,4 +1,4 @@
-"""Recordings with something hidden in them, and the truth, sealed apart from them with its sha256."""
+"""Recordings with concealed causes, and the truth in a separate file with its checksum (sha256)."""
 
 import hashlib
 import json
@@ -25,14 +25,14 @@ RECORDINGS, TRUTH, SEAL = "recordings", "truth.json", "SEAL"
 TRIES = 40
 ABSURD = {"reading": 300e-6, "target": 600e-6, "station": 600e-6, "turn": 300e-6, "constants": 300e-6, "variance": 50.0,
           "lengths": 2e-3}  # fmt: skip
-"""[m, rad] What is as large as this would be seen by eye, and is not drawn."""
-SMALLEST, LARGEST = -4.0, 4.0
-"""Decades of the size that are tried."""
+"""Limits [m, rad] of each part of a change; draws with larger changes are excluded, because they would be obvious."""
+SMALLEST_DECADE, LARGEST_DECADE = -4.0, 4.0
+"""Decimal logarithms of the smallest and largest size in the search for the required strength."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """One recording of a plan: what it holds (`clean`, `catalogued`, `unknown`), in which hall, how strongly."""
+    """Recording of a plan: kind (`clean`, `catalogued`, `unknown`), hall, law and strength."""
 
     seed: int
     kind: str
@@ -44,29 +44,30 @@ class Case:
 
     @classmethod
     def of(cls, truth: dict[str, Any]) -> Self:
-        """The case of a recording from its truth: what is drawn of it is the same again."""
-        given = {field.name: truth[field.name] for field in fields(cls)}
-        return cls(**given | {"laws": tuple(truth["laws"])})
+        """Case of a recording from its truth; it has the same random numbers."""
+        values = {field.name: truth[field.name] for field in fields(cls)}
+        return cls(**values | {"laws": tuple(truth["laws"])})
 
     @property
     def words(self) -> str:
-        """What tells its draws from all others."""
+        """Text that identifies the random numbers of the case."""
         return f"{self.seed}/{self.kind}/{self.hall}/{self.law}/{self.strength}/{self.number}"
 
     @property
     def name(self) -> str:
-        """A name that tells nothing."""
+        """Name of the recording: a hash, which contains no information about the cause."""
         return f"R{zlib.crc32(self.words.encode()):08x}"
 
-    def stream(self, what: str) -> Draw:
-        """Random numbers of its own for the hall with its law, and for the noise."""
-        return np.random.default_rng([self.seed, *f"{what}/{self.words}".encode()])
+    def stream(self, purpose: str) -> Draw:
+        """Random generator of the case for one purpose, such as the hall with its law, or the noise."""
+        return np.random.default_rng([self.seed, *f"{purpose}/{self.words}".encode()])
 
 
 def read_plan(path: Path) -> list[Case]:
-    """The recordings of a plan, in the order of their names, so that any part of them is a fair sample.
+    """Cases of a plan in the order of their names, so that the first cases are a random sample.
 
-    ``clean``, ``clean-large``: how many; the others: strength = recordings of each law.
+    In the file, ``clean`` and ``clean-large`` are numbers of recordings; the other tables have the number of recordings
+    of each law by strength.
     """
     with path.open("rb") as file:
         plan = tomllib.load(file)
@@ -81,21 +82,21 @@ def read_plan(path: Path) -> list[Case]:
     return sorted(cases, key=lambda c: c.name)
 
 
-def make(cases: Sequence[Case], work: Path, jobs: int = 1) -> str:
-    """Write recordings, truth and seal into a folder; the seal, which is the sha256 of the truth."""
+def make(cases: Sequence[Case], work_folder: Path, jobs: int = 1) -> str:
+    """Checksum (sha256) of the truth, after recordings, truth and checksum have been written to a folder."""
     with ProcessPoolExecutor(jobs) as pool:
-        made = list(pool.map(make_recording, cases, [work / RECORDINGS] * len(cases), chunksize=4))
+        made = list(pool.map(make_recording, cases, [work_folder / RECORDINGS] * len(cases), chunksize=4))
     truth = json.dumps({t["name"]: t for t in made}, indent=1) + "\n"
     seal = hashlib.sha256(truth.encode()).hexdigest()
-    (work / TRUTH).write_text(truth, encoding="utf-8")
-    (work / SEAL).write_text(f"{seal}  {TRUTH}\n", encoding="utf-8")
+    (work_folder / TRUTH).write_text(truth, encoding="utf-8")
+    (work_folder / SEAL).write_text(f"{seal}  {TRUTH}\n", encoding="utf-8")
     return seal
 
 
 def make_recording(case: Case, folder: Path) -> dict[str, Any]:
-    """Write one recording; its truth."""
+    """Truth of one recording, which is written to `folder`."""
     excluded: Counter[str] = Counter()
-    hall, network, cause, change = drawn(case, excluded)
+    hall, network, cause, change = draw_case(case, excluded)
     rng = case.stream("noise")
     noise = rng.standard_normal((hall.n, 3)), rng.standard_normal(len(hall.bars))
     spread = hall.sigma if change.variance is None else hall.sigma * np.sqrt(1.0 + change.variance)
@@ -119,8 +120,8 @@ def make_recording(case: Case, folder: Path) -> dict[str, Any]:
     }
 
 
-def drawn(case: Case, excluded: Counter[str]) -> tuple[Hall, Network, Cause, Change]:
-    """A hall and a cause of the wanted strength that acts in it; draws that cannot be seen are counted."""
+def draw_case(case: Case, excluded: Counter[str]) -> tuple[Hall, Network, Cause, Change]:
+    """Hall, network, cause and change with the required strength; `excluded` counts excluded draws by reason."""
     rng = case.stream("hall")
     for _ in range(TRIES):
         hall = draw_hall(rng, case.hall)
@@ -132,20 +133,20 @@ def drawn(case: Case, excluded: Counter[str]) -> tuple[Hall, Network, Cause, Cha
             excluded["the hall lacks what the law needs"] += 1
             continue
         network, whole = Network.of(hall), cause.change
-        size = _size(network, whole, case.strength)
+        size = _size_of_strength(network, whole, case.strength)
         change = whole.scaled(size)
         if size and all(np.abs(part).max() < ABSURD[k] for k, part in change.parts.items()):
             return hall, network, replace(cause, values=size * cause.values), change
         excluded["absurdly large" if size else "the network hides it"] += 1
-    raise RuntimeError(f"no hall was found where '{case.law}' has a strength of {case.strength} at a sensible size")
+    raise RuntimeError(f"'{case.law}' has the strength {case.strength} at a plausible size in none of {TRIES} halls")
 
 
-def _size(network: Network, change: Change, wanted: float) -> float:
-    """Factor at which a change has the wanted strength; 0 where none has."""
+def _size_of_strength(network: Network, change: Change, strength: float) -> float:
+    """Factor at which a change has the given strength; 0 if it exceeds 10 to the power `LARGEST_DECADE`."""
 
     def miss(decade: float) -> float:
-        return float(np.log(max(network.strengths(change.scaled(10**decade)).sum(), 1e-30) / wanted))
+        return float(np.log(max(network.strengths(change.scaled(10**decade)).sum(), 1e-30) / strength))
 
-    if miss(LARGEST) <= 0.0:
+    if miss(LARGEST_DECADE) <= 0.0:
         return 0.0
-    return float(10 ** brentq(miss, SMALLEST, LARGEST, xtol=1e-4))
+    return float(10 ** brentq(miss, SMALLEST_DECADE, LARGEST_DECADE, xtol=1e-4))

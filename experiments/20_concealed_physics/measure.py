@@ -1,4 +1,4 @@
-"""Share of the true signal that the model of an answer takes; RULES.md has the formulas."""
+"""Model of an answer, and the fraction of the true signal that it explains; RULES.md has the formulas."""
 
 import csv
 import json
@@ -21,23 +21,23 @@ LENGTH = "length_um"
 
 @dataclass(frozen=True)
 class Model:
-    """Change of the readings (n, 3) [m, rad, rad], factors on their variance (n, 3), change of the lengths (g,) [m]."""
+    """Modelled changes of readings (n, 3) [m, rad, rad] and lengths (g,) [m], and factors on the variance (n, 3)."""
 
     change: Array
     variance: Array
     lengths: Array
     notes: dict[str, Any]
-    """`coefficients`: number of estimated coefficients; `law`: name in the list of laws; each optional."""
+    """Optional notes: `coefficients`, the number of estimated coefficients; `law`, the name in the list of laws."""
 
     @classmethod
     def nothing(cls, network: Network) -> Self:
-        """The model that describes no change."""
+        """Model without changes."""
         hall = network.hall
         return cls(np.zeros((hall.n, 3)), np.ones((hall.n, 3)), np.zeros(len(hall.bars)), {})
 
     @classmethod
     def read(cls, folder: Path, network: Network) -> Self:
-        """The model of an answer; files that are missing describe no change."""
+        """Model of an answer; no change if a file is missing."""
         model = cls.nothing(network)
         rows = _columns(folder / MODEL, (*UNITS, *VARIANCES), len(model.change))
         lengths = _columns(folder / LENGTHS, (LENGTH,), len(model.lengths))
@@ -69,14 +69,14 @@ class Model:
         rest, whole = (network.residual(v) for v in (signal - self.whitened(network), signal))
         return float(1.0 - (rest @ rest) / (whole @ whole))
 
-    def observables(self, network: Network, least: float, *, noise: bool) -> set[str]:
-        """Observables with more than a fraction `least` of the strength of the model."""
+    def observables(self, network: Network, min_fraction: float, *, noise: bool) -> set[str]:
+        """Observables with more than the fraction `min_fraction` of the strength of the model."""
         parts = network.noise_strengths(self.variance) if noise else network.mean_strengths(self.whitened(network))
-        return {name for name, part in zip(OBSERVABLES, parts[:3], strict=True) if part > least * parts.sum()}
+        return {name for name, part in zip(OBSERVABLES, parts[:3], strict=True) if part > min_fraction * parts.sum()}
 
 
 def _columns(file: Path, names: Sequence[str], rows: int) -> Array | None:
-    """(rows, k) Numbers of a file's columns; None without the file."""
+    """(rows, k) Numbers of columns of a file; None if the file is missing."""
     if not file.is_file():
         return None
     with file.open(encoding="utf-8") as lines:

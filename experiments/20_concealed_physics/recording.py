@@ -1,4 +1,4 @@
-"""A recording as two files, `observations.csv` and `setup.toml`, by the format that docs/reference describes."""
+"""Files `observations.csv` and `setup.toml` of a recording, in the format that docs/reference describes."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ HEAD = "station,target,face,repeat,time_s,azimuth_deg,elevation_deg,distance_mm"
 
 
 def write_recording(hall: Hall, readings: Array, lengths: Array, folder: Path) -> None:
-    """Write raw readings (n, 3) [m, rad, rad] and lengths (g,) [m] as a certificate states them."""
+    """Write raw readings (n, 3) [m, rad, rad] and certified reference lengths (g,) [m] to a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     p, stations, targets = hall.pointings, hall.stations, hall.targets
     lines = [",".join([HEAD, *hall.columns])]

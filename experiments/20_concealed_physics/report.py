@@ -15,8 +15,10 @@ from .score import Row
 ROWS = "recordings.jsonl"
 EDGES = (0.0, 0.5, 0.7, 0.9, 0.99, 1.0)
 LEVEL, ENOUGH = 0.05, 40
-"""Rate of false alarms at which detections are compared; least number of clean recordings for its limit."""
-WORSE = 1.05
+"""False alarm rate (`LEVEL`) at which detections are compared, and the smallest number of clean recordings from which
+the corresponding limit is estimated (`ENOUGH`).
+"""
+WORSE_RATIO = 1.05
 QUESTIONS = {
     "detected": "detected",
     "detected_at_equal_alarms": "detected, with the limit that gives this program 5 % false alarms",
@@ -48,8 +50,8 @@ def summarise(rows: Sequence[Row]) -> dict[str, Answer]:
     for r in answered:
         error = r.get("error_um")
         r["detected_at_equal_alarms"] = None if limit is None else r["p_value"] <= limit
-        r["worse"] = None if error is None else error > WORSE * r["plain_um"]
-        r["given_law_worse"] = None if error is None else r["given_law_um"] > WORSE * r["plain_um"]
+        r["worse"] = None if error is None else error > WORSE_RATIO * r["plain_um"]
+        r["given_law_worse"] = None if error is None else r["given_law_um"] > WORSE_RATIO * r["plain_um"]
     answers: dict[str, Answer] = {"answered": proportion([r["answered"] for r in rows], [_cluster(r) for r in rows])}
     places = sorted({(r["kind"], r["hall"], r["strength"]) for r in answered}, key=lambda p: (p[0] != "clean", p))
     for kind, hall, strength in places:
@@ -58,9 +60,9 @@ def summarise(rows: Sequence[Row]) -> dict[str, Answer]:
             answers[f"false alarms, {hall}"] = _proportion(of, "detected")
             continue
         for key, question in QUESTIONS.items():
-            asked = [r for r in of if key != "place" or r.get("named", r.get("unknown"))]
+            scored = [r for r in of if key != "place" or r.get("named", r.get("unknown"))]
             if any(key in r for r in of):
-                answers[f"{kind} {hall} {strength}: {question}"] = _proportion(asked, key)
+                answers[f"{kind} {hall} {strength}: {question}"] = _proportion(scored, key)
         for level, word in ((0.25, "lower quartile"), (0.5, "median"), (0.75, "upper quartile")):
             answers[f"{kind} {hall} {strength}: explained fraction of the signal, {word}"] = _quantile(
                 of, "explained_fraction", level
@@ -83,8 +85,8 @@ def summarise(rows: Sequence[Row]) -> dict[str, Answer]:
             *bin_[1:]
         )
         if answer["total"]:
-            answer["probabilities"] = float(np.mean(bin_[0]))
-            answer["holds"] = answer["low"] <= answer["probabilities"] <= answer["high"]
+            answer["mean_probability"] = float(np.mean(bin_[0]))
+            answer["holds"] = answer["low"] <= answer["mean_probability"] <= answer["high"]
     for hall in sorted({r["hall"] for r in answered}):
         seconds = [r["seconds"] for r in answered if r["hall"] == hall]
         answers[f"seconds for a recording, {hall}, median"] = {"value": float(np.median(seconds))}
@@ -114,7 +116,7 @@ def compare_with_calibrate(rows: dict[str, list[Row]]) -> None:
     plain = {r["name"]: r["error_um"] for r in rows.get("plain", ()) if r.get("error_um") is not None}
     for r in (r for entrant_rows in rows.values() for r in entrant_rows):
         if r.get("error_um") is not None and r["name"] in plain:
-            r["worse_than_calibrate"] = r["error_um"] > WORSE * plain[r["name"]]
+            r["worse_than_calibrate"] = r["error_um"] > WORSE_RATIO * plain[r["name"]]
 
 
 def write_report(entrants: dict[str, list[Row]], out: Path, head: dict[str, Any]) -> None:
@@ -127,12 +129,14 @@ def write_report(entrants: dict[str, list[Row]], out: Path, head: dict[str, Any]
     compare_with_calibrate(rows)
     columns = ["entrant", *dict.fromkeys(key for entrant_rows in rows.values() for r in entrant_rows for key in r)]
     lines = [[name, *(r.get(key) for key in columns[1:])] for name, entrant_rows in rows.items() for r in entrant_rows]
-    texts = (json.dumps(_short(_without_nulls_behind(line)), separators=(",", ":")) for line in [columns, *lines])
+    texts = (
+        json.dumps(_with_six_digits(_without_nulls_behind(line)), separators=(",", ":")) for line in [columns, *lines]
+    )
     (out / ROWS).write_text("".join(text + "\n" for text in texts), encoding="utf-8")
     summaries = (before["entrants"] if same else {}) | {
         name: summarise(entrant_rows) for name, entrant_rows in entrants.items()
     }
-    scores.write_text(json.dumps(_short(head | {"entrants": summaries}), indent=1) + "\n", encoding="utf-8")
+    scores.write_text(json.dumps(_with_six_digits(head | {"entrants": summaries}), indent=1) + "\n", encoding="utf-8")
     (out / "table.md").write_text(table(summaries, head), encoding="utf-8")
 
 
@@ -144,12 +148,12 @@ def rewrite_report(out: Path) -> None:
 
 
 def _without_nulls_behind(line: list[Any]) -> list[Any]:
-    """Row up to its last value."""
+    """Row without null values at its end."""
     return line[: max((i + 1 for i, value in enumerate(line) if value is not None), default=0)]
 
 
-def _short(content: Any) -> Any:
-    """Numbers with six digits."""
+def _with_six_digits(content: Any) -> Any:
+    """Content with numbers rounded to six digits."""
     return json.loads(json.dumps(content), parse_float=lambda text: float(f"{float(text):.6g}"))
 
 

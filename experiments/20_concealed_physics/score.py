@@ -11,30 +11,30 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from .law import OBSERVABLES
-from .make import Case, drawn
+from .make import Case, draw_case
 from .measure import Model
 
 Row = dict[str, Any]
 LIMIT = 1.959964
-SHOWN = 0.1
-"""Fraction of the strength from which an observable counts as one in which a law shows."""
+MIN_SHOWN_FRACTION = 0.1
+"""Fraction of the strength above which an observable belongs to the observables of a law."""
 OVERLAP = 0.5
-"""Fraction of common names from which several stations or targets are right."""
+"""Fraction of common names from which several stations or targets count as correct."""
 RIGHT = 0.75
-"""Fraction of the true signal from which a model describes it correctly; half of the true size explains as much."""
+"""Fraction of the true signal from which a model counts as correct; a model of half the true size explains 0.75."""
 HIGH = 0.9
 GEOMETRY = {"distance", "azimuth", "elevation", "incidence", "height", "place", "face"}
 """Covariates of the pointing itself, which need not be reported for an instrument constant or a motion."""
-SAME = {"hall_temperature_c": "temperature"}
+COVARIATE_SYNONYMS = {"hall_temperature_c": "temperature"}
 AS_UNKNOWN = {"noise": ("noise-level", "station-noise", "turbulence"), "gauge": ("gauge-scale", "gauge-shape")}
-"""Names of the catalogue that are right for a law with this response, in addition to unknown."""
+"""Names of catalogue effects that are correct for a law with this response, in addition to `unknown`."""
 WORDS = {
     "station": ("stand", "station"),
     "targets": ("target", "nest"),
     "gauge": ("gauge", "length"),
     "noise": ("noise",),
 }
-"""Words for a response, in addition to the names of the tracker's constants."""
+"""Words that report a response, in addition to the names of the tracker's constants."""
 
 
 def score_recording(truth: dict[str, Any], folder: Path) -> Row:
@@ -54,17 +54,17 @@ def score_recording(truth: dict[str, Any], folder: Path) -> Row:
     row["probabilities"] = [(p, right(truth, f)) for p, f in probabilities if p is not None]
     first = findings[0] if findings else None
     if truth["kind"] == "catalogued":
-        row |= _named(truth, first)
+        row |= _name_scores(truth, first)
     if truth["kind"] == "unknown":
-        row |= _recognised(hidden, first)
+        row |= _law_scores(hidden, first)
     if truth["kind"] != "clean":
-        row |= _measured(truth, first, folder)
+        row |= _model_scores(truth, first, folder)
     return row
 
 
-def _measured(truth: dict[str, Any], finding: dict[str, Any] | None, folder: Path) -> Row:
+def _model_scores(truth: dict[str, Any], finding: dict[str, Any] | None, folder: Path) -> Row:
     """Explained fraction of the true signal, correctness of the report, coefficients over those of the truth."""
-    _, network, _, change = drawn(Case.of(truth), Counter())
+    _, network, _, change = draw_case(Case.of(truth), Counter())
     model, hidden, noise = Model.read(folder, network), truth["hidden"], change.variance is not None
     row: Row = {"explained_fraction": model.explained_fraction(network, change), "correctly_reported": False}
     if "law" in model.notes:
@@ -75,7 +75,10 @@ def _measured(truth: dict[str, Any], finding: dict[str, Any] | None, folder: Pat
     row["observable_shown"] = (
         set(hidden.get("observables", ())) == set(finding["where"].get("observables", ())) != set()
         or observable_right(hidden, finding)
-        or ("gauge" not in hidden["carriers"] and model.observables(network, SHOWN, noise=noise) == _shown(hidden))
+        or (
+            "gauge" not in hidden["carriers"]
+            and model.observables(network, MIN_SHOWN_FRACTION, noise=noise) == _observables_of_law(hidden)
+        )
     )
     row["correctly_reported"] = row["explained_fraction"] >= RIGHT and row["place_right"] and row["observable_shown"]
     if model.notes.get("coefficients"):
@@ -115,7 +118,7 @@ def target_error(true_mm: dict[str, list[float]], file: Path) -> float | None:
     return float(1e3 * np.sqrt((gap**2).sum(axis=1).mean()))
 
 
-def _named(truth: dict[str, Any], finding: dict[str, Any] | None) -> Row:
+def _name_scores(truth: dict[str, Any], finding: dict[str, Any] | None) -> Row:
     """Scores of the name, the place and the parameters of an effect in the first finding."""
     if finding is None:
         return {"named_first": False, "named": False}
@@ -145,11 +148,11 @@ def _names_agree(true: set[str], reported: set[str]) -> bool:
     return true == reported if len(true) < 2 else len(true & reported) >= OVERLAP * len(true | reported)
 
 
-def _recognised(hidden: dict[str, Any], finding: dict[str, Any] | None) -> Row:
+def _law_scores(hidden: dict[str, Any], finding: dict[str, Any] | None) -> Row:
     """Scores of a law that is reported as unknown: observable, place and covariates."""
-    asked = ("unknown", "observable", "all_covariates", "outside", "covariates_or_outside", "place", "wrong_name")
+    scores = ("unknown", "observable", "all_covariates", "outside", "covariates_or_outside", "place", "wrong_name")
     if finding is None:
-        return dict.fromkeys(asked, False)
+        return dict.fromkeys(scores, False)
     unknown = is_unknown(hidden, finding)
     observable = unknown and observable_right(hidden, finding)
     outside = observable and (finding.get("outside", False) or not _covariates(finding))
@@ -160,7 +163,7 @@ def _recognised(hidden: dict[str, Any], finding: dict[str, Any] | None) -> Row:
     response_and_regressor = {
         f"reported_{name}": finding.get(key, "") for name, key in (("response", "carrier"), ("regressor", "driver"))
     }
-    return response_and_regressor | dict(zip(asked, values, strict=True))
+    return response_and_regressor | dict(zip(scores, values, strict=True))
 
 
 def is_unknown(hidden: dict[str, Any], finding: dict[str, Any]) -> bool:
@@ -174,16 +177,20 @@ def observable_right(hidden: dict[str, Any], finding: dict[str, Any]) -> bool:
     tokens |= {token.rstrip("s") for token in tokens}
     for carrier in hidden["carriers"]:
         if carrier in WORDS and (tokens & set(WORDS[carrier]) or finding["effect"] in AS_UNKNOWN.get(carrier, ())):
-            return carrier != "noise" or _reported_observables(finding) == _shown(hidden)
+            return carrier != "noise" or _reported_observables(finding) == _observables_of_law(hidden)
         if carrier not in OBSERVABLES and not (set(carrier.split("-")) - {"cos", "sin"}) - tokens:
             return True
-    return "gauge" not in hidden["carriers"] and _reported_observables(finding) == _shown(hidden)
+    return "gauge" not in hidden["carriers"] and _reported_observables(finding) == _observables_of_law(hidden)
 
 
-def _shown(hidden: dict[str, Any]) -> set[str]:
+def _observables_of_law(hidden: dict[str, Any]) -> set[str]:
     """Observables in which a law shows, by their part of its strength."""
     parts = hidden["strengths"][:3]
-    return {name for name, part in zip(OBSERVABLES, parts, strict=True) if part > SHOWN * sum(hidden["strengths"])}
+    return {
+        name
+        for name, part in zip(OBSERVABLES, parts, strict=True)
+        if part > MIN_SHOWN_FRACTION * sum(hidden["strengths"])
+    }
 
 
 def _reported_observables(finding: dict[str, Any]) -> set[str]:
@@ -196,14 +203,17 @@ def _reported_observables(finding: dict[str, Any]) -> set[str]:
 
 
 def _covariates(finding: dict[str, Any]) -> set[str]:
-    return {SAME.get(name, name) for name in finding["where"].get("covariates", [])}
+    return {COVARIATE_SYNONYMS.get(name, name) for name in finding["where"].get("covariates", [])}
 
 
 def covariates_right(hidden: dict[str, Any], finding: dict[str, Any]) -> bool:
     """True if each covariate of the law is reported, and no other than the permitted ones."""
-    reported, follows = _covariates(finding), [{SAME.get(x, x) for x in item} for item in hidden["follows"]]
+    reported, follows = (
+        _covariates(finding),
+        [{COVARIATE_SYNONYMS.get(x, x) for x in item} for item in hidden["follows"]],
+    )
     moving = any(c not in (*OBSERVABLES, "noise") for c in hidden["carriers"])
     carried = finding.get("carrier", "") not in ("", "noise", *OBSERVABLES)
     needed = [item for item in follows if not (carried and item <= GEOMETRY and len(follows) > 1)]
     allowed = set().union(*follows, hidden["may"], GEOMETRY if moving and not carried else ())
-    return all(reported & item for item in needed) and reported <= {SAME.get(x, x) for x in allowed}
+    return all(reported & item for item in needed) and reported <= {COVARIATE_SYNONYMS.get(x, x) for x in allowed}

@@ -1,6 +1,6 @@
-"""The exact tracker: 16 constants, two faces, every pointing with a pose, a target and constants of its own.
+"""Exact model of a tracker with 16 constants and two faces; each pointing has its own pose, target and constants.
 
-Raw readings (d, a, e) describe this point in the frame of the tracker, x forward at azimuth zero, z up:
+Raw readings (d, a, e) describe this point in the frame of the tracker, with x forward at azimuth zero and z up:
 
     a' = a + A1 cos a + B1 sin a + A2 cos 2a + B2 sin 2a
     e' = e + index + C1 cos e + D1 sin e + C2 cos 2e + D2 sin 2e
@@ -8,12 +8,12 @@ Raw readings (d, a, e) describe this point in the frame of the tracker, x forwar
     forward = d' cos(c) cos e' - b_v sin e'          beam tilt c to the left, vertical beam offset b_v
     height  = d' cos(c) sin e' + b_v cos e'
     left    = d' sin(c) + b_l                        lateral beam offset b_l
-    left, height turned by the transit tilt about the forward axis; transit offset added to forward;
-    forward, left turned by a' about the standing axis.
+    left, height rotated by the transit tilt about the forward axis; transit offset added to forward;
+    forward, left rotated by a' about the standing axis.
 
-Each constant is a correction: what is added to a reading, or to a zero of the tracker, to get the truth. On the back
-face the raw readings are (d, a + pi, pi - e), and the signs of the faces follow by themselves.
-Source: Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35 (which errors); Loser and Kyle 1998 (beam and axes).
+Each constant is a correction, which is added to a reading or to a zero of the tracker to get the true value. On the
+back face the raw readings are (d, a + pi, pi - e); the signs of the errors on the back face follow from this.
+Source: Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35 (errors); Loser and Kyle 1998 (beam and axes).
 """
 
 from dataclasses import dataclass, replace
@@ -33,12 +33,12 @@ CONSTANTS = (
 )
 ARCSECOND = np.pi / 648_000
 GUARANTEED = np.array([10e-6, 2e-6, *[20e-6] * 3, *[3 * ARCSECOND] * 11])
-"""(16,) [m, 1, rad] One standard deviation of what a maker guarantees, as a recording without further words has it."""
+"""(16,) [m, 1, rad] Standard deviations of the constants by a maker's guarantee, the default prior of a recording."""
 STEPS = 8
 
 
 def described(raw: Array, constants: Array) -> Array:
-    """Points (n, 3) [m] that raw readings (n, 3) describe, with constants (n, 16)."""
+    """Points (n, 3) [m] in the tracker frame for raw readings (n, 3) [m, rad, rad] and constants (n, 16)."""
     d, a, e = raw.T
     zero, scale, transit, lateral, vertical, beam, tilt, index, a1, b1, a2, b2, c1, d1, c2, d2 = constants.T
     azimuth = a + a1 * np.cos(a) + b1 * np.sin(a) + a2 * np.cos(2 * a) + b2 * np.sin(2 * a)
@@ -64,14 +64,14 @@ def sphere(points: Array) -> Array:
 
 
 def within_a_turn(angle: Array) -> Array:
-    """Angle [rad] between -pi and pi."""
+    """Angle [rad] reduced to the interval from -pi to pi."""
     return np.asarray(np.arctan2(np.sin(angle), np.cos(angle)))
 
 
 def readings_of(local: Array, back: NDArray[np.bool_], constants: Array) -> Array:
-    """Raw readings (n, 3) of points (n, 3) [m] in the frame of the tracker; `back` (n,): on the back face.
+    """Raw readings (n, 3) of points (n, 3) [m] in the frame of the tracker; `back` (n,) is True on the back face.
 
-    The errors are small, so what a reading misses is added to it until nothing is missing.
+    The model is inverted by fixed-point iteration, which converges because the errors are small.
     """
     true = sphere(local)
     raw = true.copy()
@@ -86,39 +86,39 @@ def readings_of(local: Array, back: NDArray[np.bool_], constants: Array) -> Arra
 
 
 def turned(vectors: Array, about: Array) -> Array:
-    """Vectors (n, 3) turned by rotation vectors (n, 3) [rad]."""
+    """Vectors (n, 3) rotated by rotation vectors (n, 3) [rad]."""
     return np.asarray(Rotation.from_rotvec(about).apply(vectors))
 
 
 @dataclass(frozen=True)
 class Change:
-    """What a cause does to each pointing at size one: (n, 3) each, constants (n, 16); None: nothing."""
+    """Change of each pointing by a cause of size one: arrays (n, 3), constants (n, 16); None for no change."""
 
     reading: Array | None = None
-    """Added to raw range, azimuth, elevation [m, rad, rad]."""
+    """Change of raw range, azimuth, elevation [m, rad, rad]."""
     target: Array | None = None
-    """Displacement [m] of the target, network frame."""
+    """Displacement [m] of the target in the network frame."""
     station: Array | None = None
-    """Displacement [m] of the station, network frame."""
+    """Displacement [m] of the station in the network frame."""
     turn: Array | None = None
-    """Rotation vector [rad] of the station, network frame."""
+    """Rotation vector [rad] of the station in the network frame."""
     constants: Array | None = None
     variance: Array | None = None
-    """Added to the variance of the readings, in units of it."""
+    """Variance added to the readings, relative to their declared variance."""
     lengths: Array | None = None
-    """(g,) Added to the known lengths [m] that the certificate states."""
+    """(g,) [m] Error of the certified reference lengths."""
 
     def scaled(self, factor: float) -> Self:
-        """The same at another size."""
+        """Change multiplied by a factor."""
         return replace(self, **{name: factor * part for name, part in self.parts.items()})
 
     @property
     def parts(self) -> dict[str, Array]:
-        """What it has, by name."""
+        """Arrays of the change that are not None, by name."""
         return {name: part for name, part in vars(self).items() if part is not None}
 
     def __add__(self, other: Self) -> Self:
-        """Both."""
+        """Sum of two changes."""
         names = self.parts.keys() | other.parts.keys()
         return type(self)(**{n: self.parts.get(n, 0.0) + other.parts.get(n, 0.0) for n in sorted(names)})
 
@@ -128,30 +128,30 @@ NOTHING = Change()
 
 @dataclass(frozen=True)
 class Pointings:
-    """Who looks at whom, when, from where: n pointings, S stations, T targets, K trackers; SI units."""
+    """n pointings with S stations, T targets and K trackers, and their true values; SI units."""
 
     station: Index
     target: Index
     tracker: Index
     face: Index
     repeat: Index
-    """(n,) each."""
+    """Indices (n,) of station, target and tracker, and numbers (n,) of face and repeat."""
     time: Array
-    """(n,) [s], rising: the order of the work."""
+    """(n,) [s] Time, increasing in the order of the measurements."""
     position: Array
-    """(S, 3)."""
+    """(S, 3) [m] Positions of the stations."""
     rotation: Array
-    """(S, 3, 3) tracker to network."""
+    """(S, 3, 3) Rotations from the tracker frame to the network frame."""
     points: Array
-    """(T, 3)."""
+    """(T, 3) [m] Targets."""
     constants: Array
-    """(K, 16)."""
+    """(K, 16) Constants of each tracker."""
 
     def __len__(self) -> int:
         return len(self.station)
 
     def local(self, change: Change = NOTHING) -> Array:
-        """(n, 3) [m] The targets as the trackers have them."""
+        """(n, 3) [m] Targets in the frame of the tracker."""
         arm = self.points[self.target] - self.position[self.station]
         arm = arm if change.target is None else arm + change.target
         arm = arm if change.station is None else arm - change.station
@@ -160,11 +160,11 @@ class Pointings:
 
     @property
     def local_points(self) -> Array:
-        """(n, 3) Range [m], azimuth and elevation [rad] as an ideal tracker has them on the front face."""
+        """(n, 3) Range [m], azimuth and elevation [rad] of an ideal tracker on the front face."""
         return sphere(self.local())
 
     def readings(self, change: Change = NOTHING) -> Array:
-        """(n, 3) Raw readings without noise."""
+        """(n, 3) [m, rad, rad] Raw readings without noise."""
         constants = self.constants[self.tracker]
         constants = constants if change.constants is None else constants + change.constants
         raw = readings_of(self.local(change), self.face == 2, constants)

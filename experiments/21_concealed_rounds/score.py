@@ -1,4 +1,4 @@
-"""Diagnoses of concealed recordings against the truth, once that is open."""
+"""Scores of diagnoses of concealed recordings against their truth."""
 
 import json
 from collections import Counter
@@ -16,7 +16,10 @@ Row = dict[str, Any]
 
 
 def answers_of(folder: Path) -> dict[str, dict[str, Any]]:
-    """Diagnoses by recording: condensed in one file, or a folder each; with coordinates and their change [mm]."""
+    """Diagnoses by recording, with target coordinates and their change [mm].
+
+    The diagnoses are in one file `answers.json`, or in one folder for each recording.
+    """
     if (folder / "answers.json").is_file():
         answers: dict[str, dict[str, Any]] = json.loads((folder / "answers.json").read_text(encoding="utf-8"))
         return answers
@@ -36,7 +39,7 @@ def rigid_error(points: np.ndarray, truth: np.ndarray) -> float:
 
 
 def names_of(answer: dict[str, Any]) -> set[str]:
-    """Names that count as right: the true one, and those that the recording cannot distinguish from it."""
+    """Names that count as correct: the true one, and those that the recording cannot distinguish from it."""
     return {answer["effect"], *answer["accept"]}
 
 
@@ -48,7 +51,7 @@ def fits(answer: dict[str, Any], finding: dict[str, Any]) -> bool:
     return same and (not kinds[0] or not kinds[1] or bool(kinds[0] & kinds[1]))
 
 
-def scored(name: str, truth: dict[str, Any], diagnosis: dict[str, Any]) -> Row:
+def score_recording(name: str, truth: dict[str, Any], diagnosis: dict[str, Any]) -> Row:
     """Row of the scores of one recording."""
     answers, findings = truth["case"]["answer"], list(diagnosis["findings"])
     count = Counter({"of": sum(a["effect"] != "unknown" for a in answers)})
@@ -113,7 +116,7 @@ def totals(rows: Sequence[Row]) -> list[tuple[str, str]]:
 
 
 def markdown(sets: dict[str, list[Row]]) -> str:
-    """Both tables in Markdown: the counts, and each recording."""
+    """Tables in Markdown: the counts, and a row for each recording."""
     counted = {name: dict(totals(rows)) for name, rows in sets.items()}
     lines = ["| | " + " | ".join(sets) + " |", "|---" * (1 + len(sets)) + "|"]
     keys = dict.fromkeys(key for column in counted.values() for key in column)

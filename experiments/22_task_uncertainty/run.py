@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.common import Made, Options, batches, show_table
+from experiments.common import Options, RunRecord, batches, show_table
 from ltsim.campaigns.trial_calibrators import BatchCalibrator
 from ltsim.campaigns.true_network import TRIALS_PER_STREAM, TrueNetwork, make_true_network
 from ltsim.core.arrays import Floats
@@ -20,7 +20,7 @@ from ltsim.simulation.sections import EffectEntry
 
 
 def scenario_of(name: str, case: dict[str, str]) -> Scenario:
-    """The scenario with the effects of a case drawn anew in every trial."""
+    """Scenario with the effects of a case, which are drawn anew in each trial."""
     plain = load_scenario(name)
     effects = [EffectEntry(name=case["stations"], stations=(s,), draw=True) for s in plain.stations
                if "stations" in case]  # fmt: skip
@@ -30,10 +30,10 @@ def scenario_of(name: str, case: dict[str, str]) -> Scenario:
 
 
 def errors_of(truth: TrueNetwork, tasks: Tasks, placed: Floats, seed: int, number: int) -> Floats:
-    """Errors (BLOCK, k) [SI] of the results of one block of measured and calibrated workshops.
+    """Errors (b, k) [SI] of the k results in one batch of b simulated and calibrated workshops.
 
-    Each network is fitted over all targets to the true one where the prediction has it, `placed` (T, 3): that is the
-    frame of inner constraints, which the prediction is told in.
+    Each network is fitted over all targets to the true points `placed` (T, 3), which gives the frame of inner
+    constraints, as in the prediction.
     """
     engine = BatchCalibrator(truth, misalignment_construction())
     calibrated = engine.calibrate(truth.draw_batch(seed, number))
@@ -46,11 +46,14 @@ def errors_of(truth: TrueNetwork, tasks: Tasks, placed: Floats, seed: int, numbe
 
 
 Names = list[tuple[str, str, str, float]]
-"""Task, result, unit and its factor of each result."""
+"""Task, result, unit, and SI value of the unit, for each result."""
 
 
-def predicted(truth: TrueNetwork, tasks: Tasks, dropped: str = "") -> tuple[LinearUncertainty, Names, Floats]:
-    """Uncertainty of an error-free recording, without one source; its results, and where it has the targets (T, 3)."""
+def predict_uncertainty(truth: TrueNetwork, tasks: Tasks, dropped: str = "") -> tuple[LinearUncertainty, Names, Floats]:
+    """Uncertainty of an error-free recording, the names of its results, and its targets (T, 3) [m].
+
+    The effect `dropped` is removed from the uncertainty budget.
+    """
     budget = tuple(entry for entry in tasks.type_b if entry.effect != dropped)
     tasks_with_budget = tasks.model_copy(update={"type_b": budget, "datum": truth.recording.targets})
     inputs = TaskInputs.from_recording(truth.recording, tasks_with_budget)
@@ -61,12 +64,15 @@ def predicted(truth: TrueNetwork, tasks: Tasks, dropped: str = "") -> tuple[Line
 
 
 def table_of(case: str, errors: Floats, linear: LinearUncertainty, names: Names) -> list[Any]:
-    """A row a result: predicted and observed deviation, share inside the 95 % interval, both with their uncertainty."""
+    """Row for each result: predicted and observed standard deviation, and coverage of the 95 % interval.
+
+    The observed values have their uncertainties.
+    """
     rows, count = [], len(errors)
     inside, scatter = np.mean(np.abs(errors) <= linear.expanded_uncertainty(0.95), axis=0), errors.std(axis=0, ddof=1)
     for i, (task, result, unit, factor) in enumerate(names):
         if "ness" in result or result in ("sphericity", "cylindricity") or result.startswith(("normal", "direction")):
-            continue  # Forms are not negative, directions not independent: the Monte Carlo interval is for these.
+            continue  # form errors are not negative, and directions are dependent: they need the Monte Carlo interval
         rows.append({
             "case": case, "task": task, "result": result, "unit": unit,
             "predicted_sigma": round(float(linear.standard_uncertainties[i]) / factor, 7),
@@ -78,16 +84,16 @@ def table_of(case: str, errors: Floats, linear: LinearUncertainty, names: Names)
     return rows
 
 
-def run(given: Options) -> Made:
-    """All cases; the table is results.csv."""
-    config, tasks = given.config, load_tasks(given.here / "tasks.toml")
-    trials, seed = given.trials or config["trials"], config["seed"]
+def run(options: Options) -> RunRecord:
+    """Run all cases, and write results.csv."""
+    config, tasks = options.config, load_tasks(options.folder / "tasks.toml")
+    trials, seed = options.trials or config["trials"], config["seed"]
     rows: list[Any] = []
     for case in config["cases"]:
         truth = make_true_network(scenario_of(config["scenario"], case), seed)
-        linear, names, placed = predicted(truth, tasks, case.get("dropped", ""))
+        linear, names, placed = predict_uncertainty(truth, tasks, case.get("dropped", ""))
         work = [(truth, tasks, placed, seed, number) for number, _ in batches(trials, TRIALS_PER_STREAM)]
-        errors = np.concatenate([*run_parallel(errors_of, work, given.jobs)])[:trials]
+        errors = np.concatenate([*run_parallel(errors_of, work, options.jobs)])[:trials]
         rows += table_of(case["title"], errors, linear, names)
-    show_table(given.out / "results.csv", rows)
-    return Made(seed, trials)
+    show_table(options.out / "results.csv", rows)
+    return RunRecord(seed, trials)

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from experiments.common import Made, Options, Row, campaign, write_figure, write_table
+from experiments.common import Options, Row, RunRecord, campaign, write_figure, write_table
 from ltsim.campaigns.statistics import NORMAL_QUANTILE_95
 from ltsim.campaigns.summary import SolverComparison
 from ltsim.core.arrays import Floats
@@ -20,12 +20,12 @@ CONSTRUCTIONS = {
 }
 AXIS = "construction, true and fitted"
 TRACKERS = {1: "AAAA", 2: "ABAB", 3: "ABCA"}
-"""Which stands at each station."""
+"""Tracker (A, B or C) at each of the four stations, by the number of trackers."""
 LINES = {1: "one tracker", 2: "two trackers", 3: "three trackers"}
 TRACKER = {"preset": "modern", "errors": {"draw": True}}
 
 
-def run(given: Options) -> Made:
+def run(options: Options) -> RunRecord:
     rows: list[Row] = []
     for title, built in CONSTRUCTIONS.items():
         for trackers, stations in TRACKERS.items():
@@ -33,10 +33,10 @@ def run(given: Options) -> Made:
             tables: dict[str, Any] = {f"instruments__{n}": TRACKER | built for n in sorted(set(stations))}
             absent = {} if "B" in stations else {"instruments__B": "none"}
             folder = f"{title.replace(' ', '-')}-{trackers}"
-            results = campaign("config.toml", given, folder, methods=[built], **tables, **absent, **places)
+            results = campaign("config.toml", options, folder, methods=[built], **tables, **absent, **places)
             z = results.to_dataframe("rows").filter(like="z:").to_numpy()
             rows.append({"instrument": title, "trackers": trackers} | row_of(z, results.solver_comparisons()[0]))
-    write_table(given.out / "intervals.csv", rows)
+    write_table(options.out / "intervals.csv", rows)
     ends = [(row["instrument"], LINES[row["trackers"]], AXIS, row["inside"], row["low"], row["high"]) for row in rows]
     figure = sweep_panels_figure(
         [SweepPoint(*values, 0, 0) for values in ends],
@@ -44,12 +44,16 @@ def run(given: Options) -> Made:
         x_title="",
         joins_points=False,
     )
-    write_figure(given.out / "intervals.svg", figure)
-    return Made(results.manifest.seed, results.manifest.trials)
+    write_figure(options.out / "intervals.svg", figure)
+    return RunRecord(results.manifest.seed, results.manifest.trials)
 
 
 def row_of(z: Floats, end: SolverComparison) -> Row:
-    """Share [%] of z-scores (trials, parameters) inside 95 %, and how many parameters' shares chance would not make."""
+    """Coverage [%] of 95 % intervals by z-scores (trials, parameters), and deviations from it.
+
+    The deviations are the number of parameters whose coverage is outside its own 99 % interval, the rms z-score, and
+    the difference of the solvers.
+    """
     inside = np.abs(z) < NORMAL_QUANTILE_95
     by_trial, mean = inside.mean(axis=1), 100 * float(inside.mean())
     half = 196 * float(by_trial.std(ddof=1)) / np.sqrt(len(z))

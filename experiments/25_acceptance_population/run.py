@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.common import Made, Options, Row, show_table, write_figure
+from experiments.common import Options, Row, RunRecord, show_table, write_figure
 from ltsim.acceptance.prediction import AcceptancePlan, point_errors_by_constant
 from ltsim.acceptance.spec import builtin_tests, points_around_instrument
 from ltsim.core.randomness import random_stream
@@ -19,7 +19,7 @@ BLOCK = 1000
 
 
 def population(config: dict[str, Any], trials: int) -> pd.DataFrame:
-    """Largest point error over its limit (`share`), and whether each plan is passed: an instrument a row."""
+    """Row for each instrument: largest point error over its limit (`share`), and True for each plan that it passes."""
     limits, built, points = (
         data_sheet_specification(config["sheet"]),
         misalignment_construction(),
@@ -51,33 +51,33 @@ def population(config: dict[str, Any], trials: int) -> pd.DataFrame:
     return instruments.assign(both=instruments[[*plans]].all(axis=1))
 
 
-def row_of(words: str, instruments: pd.DataFrame) -> Row:
-    """Shares [%] that pass, with their uncertainties."""
-    count, row = len(instruments), {"error_over_limit": words, "instruments": len(instruments)}
+def row_of(error_range: str, instruments: pd.DataFrame) -> Row:
+    """Percentages of instruments that pass each plan, with standard uncertainties."""
+    count, row = len(instruments), {"error_over_limit": error_range, "instruments": len(instruments)}
     for name, rate in instruments.drop(columns="share").mean().items():
         error = np.sqrt(max(rate * (1 - rate), 1 / count) / count) if count else np.nan
         row |= {name: 100 * rate, f"{name}_uncertainty": 100 * error}
     return row
 
 
-def run(given: Options) -> Made:
-    """The table is population.csv, the picture population.svg."""
-    config = given.config
-    trials = given.trials or config["trials"]
+def run(options: Options) -> RunRecord:
+    """Simulate the population, and write population.csv and population.svg."""
+    config = options.config
+    trials = options.trials or config["trials"]
     table = population(config, trials)
     rows = []
     for low, high in pairwise(config["steps"]):
-        words = f"to {high:g}" if np.isfinite(high) else f"over {low:g}"
-        rows.append(row_of(words, table[(table.share >= low) & (table.share < high)]))
+        error_range = f"to {high:g}" if np.isfinite(high) else f"over {low:g}"
+        rows.append(row_of(error_range, table[(table.share >= low) & (table.share < high)]))
     curves = []
     for row in rows:
         for name in table.columns.drop("share"):
             ends = np.clip(row[name] + np.array([0.0, -1.96, 1.96]) * row[f"{name}_uncertainty"], 0, 100)
             curves.append(SweepPoint(row["error_over_limit"], name, "", ends[0], ends[1], ends[2], ends[0], ends[0]))
     rows += [row_of("all within", table[table.share <= 1]), row_of("all beyond", table[table.share > 1])]
-    show_table(given.out / "population.csv", rows)
+    show_table(options.out / "population.csv", rows)
     axis = "largest point error over its limit, in steps"
     write_figure(
-        given.out / "population.svg", sweep_panels_figure(curves, statistic_title="pass every test [%]", x_title=axis)
+        options.out / "population.svg", sweep_panels_figure(curves, statistic_title="pass every test [%]", x_title=axis)
     )
-    return Made(config["seed"], trials)
+    return RunRecord(config["seed"], trials)

@@ -1,7 +1,8 @@
-"""The ideal observer of the injections: Bayes over the list of causes, their places and shapes, in linearised networks.
+"""Ideal observer of the injections: Bayes' rule over all causes, places and shapes, in linearised networks.
 
-It knows the kinds that are injected, equally likely, and the adjustment of the recording; not which cause, where, what
-shape and size. Residuals are Gaussian with the covariance of the adjustment and the noise that the readings have.
+The observer knows the kinds of causes that are injected, which are equally probable, and the adjustment of the
+recording; it does not know the kind, place, shape and size of a cause. Residuals are Gaussian with the covariance of
+the adjustment and the estimated noise of the readings.
 """
 
 from collections.abc import Sequence
@@ -28,25 +29,25 @@ from ltsim.physics.model.construction import declared_construction
 from .injections import background, injection, is_located, unit_of
 
 STRENGTHS = np.geomspace(10.0, 3000.0, 16)
-"""Expected noncentralities, equally likely: the observer does not know which one was injected."""
+"""Grid of expected noncentralities with equal prior probability: the observer does not know the injected one."""
 LOG_ODDS_NONE = 0.0
-"""Log prior odds of no cause against any."""
+"""Log prior odds of no cause against any cause."""
 STRENGTH = 100.0
 """Noncentrality of the injections."""
-CARDS = tuple(
+CATALOGUE_EFFECTS = tuple(
     kind.name
     for kind in CATALOGUE
     if not issubclass(kind, NoiseEffect | Blunder)
     and kind.name not in {effect.name for effect in ORDINARY_CALIBRATION_EFFECTS}
 )
-"""Effects of the catalogue that change readings and that the ordinary calibration does not estimate."""
-MOST_BACKGROUND = 5
-"""Causes of the list in a recording as it is."""
+"""Names of the catalogue effects that change readings and that the ordinary calibration does not estimate."""
+MAX_BACKGROUND_CAUSES = 5
+"""Largest number of causes that are estimated in an original recording, without injection."""
 
 
 @dataclass(frozen=True)
 class Instance:
-    """A cause at one place and of one shape, and its kind in the words of the plan."""
+    """Cause at one place and with one shape; `kind` is its text in the plan."""
 
     kind: str
     cause: CandidateEffect
@@ -60,14 +61,14 @@ class Instance:
 
 @dataclass(frozen=True)
 class Observer:
-    """The list of causes in the residual space of a recording."""
+    """Listed causes in the residual space of a recording."""
 
     space: ResidualSpace
     instances: Sequence[Instance]
 
     @classmethod
     def of(cls, space: ResidualSpace, kinds: Sequence[str], unit: str) -> "Observer":
-        """Observer of a recording, with a list of the kinds of causes."""
+        """Observer of a recording, with all places and shapes of the listed kinds of causes."""
         recording, instances = space.adjustment.recording, list[Instance]()
         for kind in dict.fromkeys(kinds):
             texts = [kind.format(station=s, unit=unit) for s in recording.stations] if "{station}" in kind else [kind]
@@ -78,7 +79,7 @@ class Observer:
 
     @cached_property
     def _projected(self) -> list[tuple[Floats, Floats]]:
-        """Projected signatures (m, k) along the eigenvectors of their Gram matrix, and its eigenvalues (k,)."""
+        """Projected signatures (m, k) in the basis of eigenvectors of their Gram matrix, and its eigenvalues (k,)."""
         signatures = []
         for instance in self.instances:
             rows = self.space.whitened_design(instance.cause) * instance.cause.plausible_sizes
@@ -90,7 +91,7 @@ class Observer:
 
     @cached_property
     def log_prior(self) -> Floats:
-        """Log prior probabilities (h,): kinds are equally likely, and in each its visible places and shapes."""
+        """Log prior probabilities (h,): equal for all kinds, and equal for the detectable instances of a kind."""
         kinds = [i.kind if len(values) else "" for i, (_, values) in zip(self.instances, self._projected, strict=True)]
         names = sorted(set(kinds) - {""})
         count = {name: kinds.count(name) for name in names}
@@ -111,7 +112,7 @@ class Observer:
     def with_background(self) -> "Observer":
         """Observer that estimates also those causes of its list that the original recording contains."""
         observer = self
-        for _ in range(MOST_BACKGROUND):
+        for _ in range(MAX_BACKGROUND_CAUSES):
             opinion = observer.opinion(observer.space.whitened_residuals)
             if opinion is None:
                 break
@@ -119,7 +120,7 @@ class Observer:
         return observer
 
     def opinion(self, residual: Floats) -> Instance | None:
-        """Most probable kind and place given residuals (m,), in its most probable shape; None without a cause."""
+        """Most probable instance given residuals (m,); None if no cause is more probable."""
         logs = self.log_evidence(residual[:, None])[:, 0] + self.log_prior
         if logsumexp(logs) < LOG_ODDS_NONE:
             return None
@@ -130,16 +131,16 @@ class Observer:
         return self.instances[max(best, key=lambda member: float(logs[member]))]
 
 
-def examined(network: Row, settings: Row) -> list[Row]:
-    """Rows of the injections of strength 100 into a network: located by the observer, located and named.
+def examined_network(network: Row, settings: Row) -> list[Row]:
+    """Rows of the injections of strength 100 into a network, with True if the observer located and named the cause.
 
-    With `simulated` residuals; with those of the original recording (`listed`), where the observer estimates the causes
-    on its list; and with these residuals and all effects of the catalogue on the list (`catalogue`).
+    `simulated` observers have simulated residuals. `listed` observers have the residuals of the original recording, in
+    which they estimate the causes on their list. `catalogue` observers also have all catalogue effects on their list.
     """
     _, weighted, _ = background(network["file"], network.get("clockwise", False), estimates_noise=False)
     space = ResidualSpace.from_adjustment(adjust(weighted, declared_construction(weighted)))
     kinds, unit = settings["kinds"], unit_of(weighted)
-    simulated, catalogue = Observer.of(space, kinds, unit), Observer.of(space, [*CARDS, *kinds], unit)
+    simulated, catalogue = Observer.of(space, kinds, unit), Observer.of(space, [*CATALOGUE_EFFECTS, *kinds], unit)
     observers = {
         "simulated": simulated,
         "listed": simulated.with_background(),

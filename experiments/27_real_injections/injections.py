@@ -1,4 +1,4 @@
-"""Injections of causes into the recordings of others, and scoring rules for findings."""
+"""Injections of causes into recordings of other authors, and scoring rules for findings."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from ltsim.recordings import Hints, Recording
 from ltsim.recordings.recording import SIGMA_COLUMNS
 from ltsim.simulation.injector import RecordingWithInjection
 
-SAME = 0.5
+MIN_COMMON_FRACTION = 0.5
 """Fraction of common stations or targets from which two groups of several count as the same place."""
-GREW = 0.01
+MIN_GROWTH = 0.01
 """Relative growth of the chi-square decrease from which a finding of the background counts as new.
 
 The decrease by a blunder of metres changes with every micrometre of the network."""
@@ -39,35 +39,45 @@ def background(file: str, clockwise: bool, estimates_noise: bool) -> tuple[Recor
     return recording, weighted, tuple(diagnosis.findings)
 
 
-def place(part: Any, recording: Recording) -> tuple[set[str], set[str]]:
-    """Stations and targets of a finding or a cause; all of them if it is confined to none."""
-    instruments = set(getattr(part, "instruments", ()))
+def place(finding_or_cause: Any, recording: Recording) -> tuple[set[str], set[str]]:
+    """Stations and targets of a finding or a cause; all of them if it is not confined."""
+    instruments = set(getattr(finding_or_cause, "instruments", ()))
     stations_of_instruments = {s for s, i in zip(recording.station, recording.instrument, strict=True)
            if recording.instruments[i] in instruments}  # fmt: skip
-    stations = set(part.stations) or {recording.stations[s] for s in stations_of_instruments} or set(recording.stations)
-    return stations, set(part.targets) or set(recording.targets)
+    stations = (
+        set(finding_or_cause.stations)
+        or {recording.stations[s] for s in stations_of_instruments}
+        or set(recording.stations)
+    )
+    return stations, set(finding_or_cause.targets) or set(recording.targets)
 
 
-def is_located(cause: CandidateEffect, where: Any, recording: Recording) -> bool:
-    """True if stations and targets are those of the cause (several: half in common) and an observable agrees."""
-    pairs = zip(place(cause, recording), place(where, recording), strict=True)
-    agree = all(a == b if len(a) < 2 else len(a & b) >= SAME * len(a | b) for a, b in pairs)
+def is_located(cause: CandidateEffect, finding_place: Any, recording: Recording) -> bool:
+    """True if a finding has the stations and targets of the cause, and an observable in common.
+
+    Of several stations or targets, half in common are enough.
+    """
+    pairs = zip(place(cause, recording), place(finding_place, recording), strict=True)
+    agree = all(a == b if len(a) < 2 else len(a & b) >= MIN_COMMON_FRACTION * len(a | b) for a, b in pairs)
     acts = set(cause.observables)
-    return agree and (not where.observables or not acts or bool(acts & set(where.observables)))
+    return agree and (not finding_place.observables or not acts or bool(acts & set(finding_place.observables)))
 
 
 def is_named_correctly(cause: CandidateEffect, finding: Finding) -> bool:
-    """True if an effect has the name of the finding or of an equivalent, or a law is unknown with its observables."""
+    """True if the finding, or an equivalent, has the name of the effect.
+
+    A law is named correctly if the finding is not in the catalogue and has the response or the observables of the law.
+    """
     if not isinstance(cause, EmpiricalLaw):
         return cause.name in (finding.effect, *(e.effect for e in finding.equivalents))
     return not finding.is_catalogued and (finding.carrier == cause.response.name
                                or set(finding.where.observables) == set(cause.observables))  # fmt: skip
 
 
-def is_new(finding: Finding, before: tuple[Finding, ...], strength: float) -> bool:
-    """True if the background has no finding of this name and place, or only one with a smaller chi-square decrease."""
-    same = [f.evidence.chi2_drop for f in before if (f.effect, key(f)) == (finding.effect, key(finding))]
-    return all(finding.evidence.chi2_drop - drop > max(strength / 2, GREW * drop) for drop in same)
+def is_new(finding: Finding, background_findings: tuple[Finding, ...], strength: float) -> bool:
+    """True if no finding of the background has this name and place, or only with a smaller chi-square decrease."""
+    same = [f.evidence.chi2_drop for f in background_findings if (f.effect, key(f)) == (finding.effect, key(finding))]
+    return all(finding.evidence.chi2_drop - drop > max(strength / 2, MIN_GROWTH * drop) for drop in same)
 
 
 def key(finding: Finding) -> Any:
@@ -78,11 +88,11 @@ def key(finding: Finding) -> Any:
 def injection(
     network: Row, kind: str, strength: float, trial: int, seed: int, estimates_noise: bool = False
 ) -> RecordingWithInjection:
-    """A cause of a kind in the recording of a network; raises ModelError where the network shows no such cause."""
+    """Recording with an injected cause; raises ModelError if the recording cannot show a cause of this kind."""
     recording, weighted, _ = background(network["file"], network.get("clockwise", False), estimates_noise)
     rng = np.random.default_rng([seed, *map(ord, network["file"] + kind), int(strength), trial])
-    words = kind.format(station=rng.choice(recording.stations), unit=unit_of(recording))
-    return lt.inject(weighted, words, noncentrality=strength, seed=int(rng.integers(2**31)))
+    cause = kind.format(station=rng.choice(recording.stations), unit=unit_of(recording))
+    return lt.inject(weighted, cause, noncentrality=strength, seed=int(rng.integers(2**31)))
 
 
 def unit_of(recording: Recording) -> str:

@@ -18,7 +18,16 @@ from pathlib import Path
 import pandas as pd
 
 import ltsim as lt
-from experiments.common import RECORDINGS as DATA, Made, Options, Row, show_table, tell, write_figure, write_table
+from experiments.common import (
+    RECORDINGS as DATA,
+    Options,
+    Row,
+    RunRecord,
+    print_line,
+    show_table,
+    write_figure,
+    write_table,
+)
 from experiments.intervals import proportion
 from ltsim.core.errors import LtsimError, ModelError
 from ltsim.core.parallel import run_parallel
@@ -29,10 +38,10 @@ from . import ideal
 from .injections import background, injection, is_located, is_named_correctly, is_new, key
 
 MEASURES = {"detected": "detected", "located": "correctly located", "reported": "correctly reported"}
-DRAWN = (*MEASURES.values(), "reliability")
+DRAWN_MEASURES = (*MEASURES.values(), "reliability")
 ESTIMATED_NOISE = "estimated-noise"
 FINDING_COUNTS = ("new_findings", "findings_of_injection", "reworded_findings")
-COUNTED = ("site", "file", "kind", "strength", "trial", "hidden", *MEASURES, *FINDING_COUNTS)
+ROW_COLUMNS = ("site", "file", "kind", "strength", "trial", "hidden", *MEASURES, *FINDING_COUNTS)
 
 
 def examined_injection(network: Row, kind: str, strength: float, trial: int, seed: int, estimates_noise: bool) -> Row:
@@ -99,55 +108,55 @@ def table_of(rows: list[Row], strengths: list[float]) -> list[Row]:
     return table
 
 
-def injected_rows(given: Options, settings: Row, estimates_noise: bool) -> list[Row]:
+def injected_rows(options: Options, settings: Row, estimates_noise: bool) -> list[Row]:
     """Rows of all injections, stored in one file for each batch, from which an interrupted run continues."""
     rows, start = [], time.perf_counter()
-    (given.out / "rows").mkdir(parents=True, exist_ok=True)
-    batches = product(range(given.trials or settings["trials"]), settings["strengths"], settings["network"])
+    (options.out / "rows").mkdir(parents=True, exist_ok=True)
+    batches = product(range(options.trials or settings["trials"]), settings["strengths"], settings["network"])
     for trial, strength, network in batches:
         title = f"{network['site']}-{strength}-{trial}{'-estimated-noise' * estimates_noise}"
-        file = given.out / "rows" / f"{title}.json"
+        file = options.out / "rows" / f"{title}.json"
         if not (DATA / network["file"]).exists():
-            tell(f"{title}: skipped, because {network['file']} does not exist")
+            print_line(f"{title}: skipped, because {network['file']} does not exist")
             continue
         if not file.is_file():
             seed = settings["seed"]
             tasks = product([network], settings["kinds"], [float(strength)], [trial], [seed], [estimates_noise])
             file.write_text(
-                json.dumps(list(run_parallel(examined_injection, list(tasks), given.jobs))), encoding="utf-8"
+                json.dumps(list(run_parallel(examined_injection, list(tasks), options.jobs))), encoding="utf-8"
             )
         rows += (batch := json.loads(file.read_text(encoding="utf-8")))
         minutes = (time.perf_counter() - start) / 60
-        tell(f"{title}: {sum(not row['hidden'] for row in batch)} injections, {minutes:.1f} min")
+        print_line(f"{title}: {sum(not row['hidden'] for row in batch)} injections, {minutes:.1f} min")
     return rows
 
 
-def run(given: Options) -> Made:
-    settings = given.config
-    if "ideal" in given.words:
+def run(options: Options) -> RunRecord:
+    settings = options.config
+    if "ideal" in options.arguments:
         networks = [network for network in settings["network"] if (DATA / network["file"]).exists()]
-        answers = run_parallel(ideal.examined, [(n, settings) for n in networks], given.jobs)
+        answers = run_parallel(ideal.examined_network, [(n, settings) for n in networks], options.jobs)
         rows = [row for site_rows in answers for row in site_rows]
-        write_table(given.out / "ideal.csv", rows)
-        ltsim = pd.read_csv(given.out / "rows.csv").convert_dtypes().to_dict("records")
-        show_table(given.out / "table_ideal.csv", ideal.table_of(rows, ltsim))
-        return Made(settings["seed"], given.trials)
-    strengths = sorted(settings["strengths"]) if "strengths" in given.words else [100]
-    ending = "".join(f"_{word.replace('-', '_')}" for word in given.words)
-    rows = injected_rows(given, settings | {"strengths": strengths}, ESTIMATED_NOISE in given.words)
+        write_table(options.out / "ideal.csv", rows)
+        ltsim = pd.read_csv(options.out / "rows.csv").convert_dtypes().to_dict("records")
+        show_table(options.out / "table_ideal.csv", ideal.table_of(rows, ltsim))
+        return RunRecord(settings["seed"], options.trials)
+    strengths = sorted(settings["strengths"]) if "strengths" in options.arguments else [100]
+    ending = "".join(f"_{word.replace('-', '_')}" for word in options.arguments)
+    rows = injected_rows(options, settings | {"strengths": strengths}, ESTIMATED_NOISE in options.arguments)
     table = table_of(rows, strengths)
-    write_table(given.out / f"rows{ending}.csv", [{k: r.get(k, "") for k in COUNTED} for r in rows])
-    write_table(given.out / f"table{ending}.csv", table)
-    if "strengths" in given.words:
-        draw_curves(given.out, table)
-    return Made(settings["seed"], given.trials)
+    write_table(options.out / f"rows{ending}.csv", [{k: r.get(k, "") for k in ROW_COLUMNS} for r in rows])
+    write_table(options.out / f"table{ending}.csv", table)
+    if "strengths" in options.arguments:
+        draw_curves(options.out, table)
+    return RunRecord(settings["seed"], options.trials)
 
 
 def draw_curves(out: Path, table: list[Row]) -> None:
     """Figure of the fractions over the strength, for all networks."""
     ends = ("proportion", "low", "high", "proportion", "proportion")
-    curves = [SweepPoint(str(r["strength"]), r["measure"], "", *(100 * r[k] for k in ends))
-              for r in table if r["network"] == "all" and r["strength"] != "all" and r["measure"] in DRAWN]  # fmt: skip
+    rows = [r for r in table if r["network"] == "all" and r["strength"] != "all" and r["measure"] in DRAWN_MEASURES]
+    curves = [SweepPoint(str(r["strength"]), r["measure"], "", *(100 * r[k] for k in ends)) for r in rows]
     axis = "noncentrality after the adjustment"
     title = "fraction of causes or of findings [%]"
     write_figure(out / "curves.svg", sweep_panels_figure(curves, statistic_title=title, x_title=axis))

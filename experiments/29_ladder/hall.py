@@ -13,35 +13,35 @@ Index = NDArray[np.int64]
 ARCSECOND = np.pi / 648000
 UNITS = {"mm": 1e-3, "arcsec": ARCSECOND, "ppm": 1e-6, "": 1.0}
 CONTROL, BAR = (0, 3, 7, 9, -1), (2, -4)
-"""Targets that are control points; ends of the gauge length."""
+"""Indices of targets that are control points (`CONTROL`), and of the ends of the gauge length (`BAR`)."""
 CORNERS = np.array([[0.17, 0.23], [0.82, 0.19], [0.80, 0.79], [0.18, 0.77], [0.49, 0.45]])
-"""Places of the set-ups in parts of the floor."""
+"""Positions of the set-ups, as fractions of the floor's length and width."""
 TILT = 5e-5
 """[rad] Standard deviation of the tilt of a set-up."""
 POINTING_S, SET_UP_S = 25.0, 1200.0
 AGAIN = (0, 7)
-"""Targets of a set-up, by their order, that it measures once more at its end."""
+"""Positions in the sequence of a set-up of the targets that are measured again at its end."""
 FOOT, GON = 0.3048, 0.9
-"""Foot [m] and gon [deg]: readings in these units are taken for metres and degrees."""
+"""Foot [m] and gon [deg]: readings in these units are recorded as if they were metres and degrees."""
 DIRECTION = np.array([0.6, -0.64, 0.48])
-"""Direction in which points move; a tripod moves in the plane only."""
+"""Unit vector in which points move; a tripod moves only horizontally."""
 
 
 @dataclass(frozen=True)
 class Place:
-    """Stations and targets of a cause; both empty for the noise."""
+    """Stations and targets of a cause; both are empty for the noise."""
 
     stations: frozenset[str] = frozenset()
     targets: frozenset[str] = frozenset()
 
     def includes(self, stations: set[str], targets: set[str]) -> bool:
-        """True if a reported place is this one; stations do not count for a cause at a target alone."""
+        """True if a reported place is equal to this one; for a cause at a target alone, any stations are accepted."""
         return targets == self.targets and (stations == self.stations or (bool(targets) and not self.stations))
 
 
 @dataclass(frozen=True)
 class Cause:
-    """A cause with its size in SI units, or a factor, acting at a station and a target (indices)."""
+    """Cause with its size in SI units, or a factor; `station` and `target` are indices."""
 
     name: str
     size: float
@@ -67,7 +67,7 @@ class Hall:
 
     @classmethod
     def of(cls, settings: Mapping[str, Any], noise: Mapping[str, float], seed: int) -> "Hall":
-        """A hall with stations near its corners and middle, targets on three levels along its walls."""
+        """Hall with stations near its corners and middle, and targets on three levels along its walls."""
         rng, size, faces = np.random.default_rng(seed), np.array(settings["size_m"]), settings["faces"]
         corners = CORNERS[: settings["stations"]]
         position = np.column_stack([corners * size[:2], rng.uniform(1.3, 1.7, len(corners))])
@@ -90,7 +90,7 @@ class Hall:
 
     @property
     def control(self) -> Index:
-        """Control points."""
+        """Indices of the control points."""
         return np.arange(len(self.points))[list(CONTROL)]
 
     @property
@@ -118,8 +118,8 @@ class Hall:
                 return Place()
         return Place(station)
 
-    def lost(self, cause: Cause) -> tuple[int, ...]:
-        """Targets whose coordinates a cause leaves without a meaning, or without a reference value."""
+    def lost_targets(self, cause: Cause) -> tuple[int, ...]:
+        """Targets whose coordinates have no true value under a cause, or lose their reference value."""
         match cause.name:
             case "target moved":
                 return (cause.target,)
@@ -131,11 +131,11 @@ class Hall:
 
     @property
     def wrong_control(self) -> int:
-        """Control point with wrong coordinates."""
+        """Index of the control point with wrong coordinates."""
         return int(self.control[2])
 
     def partner(self, target: int) -> int:
-        """Target with whose name another one is booked: the next one without a reference value."""
+        """Target whose name is exchanged with that of `target`: the next one without a reference value."""
         return int(np.roll(self.ordinary, -1)[self.ordinary == target][0])
 
     @property
@@ -145,7 +145,7 @@ class Hall:
 
 
 def _rotation(yaw: float, a: float, b: float) -> Array:
-    """Rotation from the hall into a set-up that is tilted by two small angles."""
+    """Rotation (3, 3) from the hall into a set-up that is tilted by two small angles [rad]."""
     c, s = np.cos(yaw), np.sin(yaw)
     return np.array([[1, 0, -b], [0, 1, a], [b, -a, 1]]) @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
 
@@ -162,8 +162,8 @@ def polar(rotation: Array, position: Array, points: Array) -> Array:
     return np.column_stack([d, np.arctan2(x[:, 1], x[:, 0]), np.arcsin(x[:, 2] / d)])
 
 
-def _of_geometry(hall: Hall, cause: Cause | None) -> Array:
-    """Readings (n, 3) without noise, with a tripod or a target that moved."""
+def _readings_of_geometry(hall: Hall, cause: Cause | None) -> Array:
+    """Readings (n, 3) without noise, after the motion of a tripod or target by the cause."""
     position, points = hall.position[hall.station], hall.points[hall.target]
     if cause and cause.name == "tripod bumped":
         position = position + _second_half(hall, cause)[:, None] * cause.size * DIRECTION * [1, 1, 0]
@@ -174,37 +174,38 @@ def _of_geometry(hall: Hall, cause: Cause | None) -> Array:
 
 
 def _with_errors(hall: Hall, cause: Cause) -> Array:
-    """Readings (n, 3) without noise, with an error of one reading or of all at a target or a set-up."""
-    readings = _of_geometry(hall, cause)
-    there, here = hall.station == cause.station, hall.target == cause.target
-    single = int(np.flatnonzero(there & here)[0])
+    """Readings (n, 3) without noise, with an error in one reading, at a target or at a set-up."""
+    readings = _readings_of_geometry(hall, cause)
+    at_station, at_target = hall.station == cause.station, hall.target == cause.target
+    single = int(np.flatnonzero(at_station & at_target)[0])
     match cause.name:
         case "one distance":
             readings[single, 0] += cause.size
         case "one azimuth":
             readings[single, 1] += cause.size
         case "SMR constant at a target":
-            readings[here, 0] += cause.size
+            readings[at_target, 0] += cause.size
         case "SMR constant at a set-up":
-            readings[there, 0] += cause.size
+            readings[at_station, 0] += cause.size
         case "range scale at a set-up":
-            readings[there, 0] *= 1 + cause.size
+            readings[at_station, 0] *= 1 + cause.size
         case "circle turned":
             readings[_second_half(hall, cause), 1] += cause.size
     return readings
 
 
 def _second_half(hall: Hall, cause: Cause) -> NDArray[np.bool_]:
-    """Pointings in the second half of a set-up."""
-    there = hall.station == cause.station
-    return np.asarray(there & (np.cumsum(there) > there.sum() / 2))
+    """(n,) True for pointings in the second half of a set-up."""
+    at_station = hall.station == cause.station
+    return np.asarray(at_station & (np.cumsum(at_station) > at_station.sum() / 2))
 
 
 @dataclass(frozen=True)
 class Observations:
-    """Readings reduced to face one (n, 3) with declared standard deviations, booked targets (n,), reference values.
+    """Readings and reference values of a recording.
 
-    The noise is declared `noise_factor` times too small.
+    The readings (n, 3) are reduced to face one, `target` (n,) are the booked targets, and the noise is declared
+    `noise_factor` times too small.
     """
 
     hall: Hall
@@ -217,9 +218,12 @@ class Observations:
 
     @classmethod
     def of(cls, hall: Hall, cause: Cause | None = None, number: int = 0, *, noisy: bool = True) -> "Observations":
-        """Observations of a hall with a cause; the noise is that of a number, the same with and without the cause."""
+        """Observations of a hall with or without a cause.
+
+        `number` seeds the noise, which does not depend on the cause.
+        """
         rng, noise = np.random.default_rng([hall.seed, number]), hall.noise
-        readings = _with_errors(hall, cause) if cause else _of_geometry(hall, cause)
+        readings = _with_errors(hall, cause) if cause else _readings_of_geometry(hall, cause)
         sigma = np.column_stack([1e-3 * noise["distance_mm"] + 1e-6 * noise["distance_ppm"] * readings[:, 0],
                                  noise["angle_arcsec"] * ARCSECOND / np.cos(readings[:, 2]),
                                  np.full(len(readings), noise["angle_arcsec"] * ARCSECOND)])  # fmt: skip
@@ -233,9 +237,9 @@ class Observations:
         return right._with_mistake(cause) if cause else right
 
     def _with_mistake(self, cause: Cause) -> "Observations":
-        """The observations with a wrong reference value, name, unit or declared noise."""
+        """Observations with a wrong reference value, name, unit or declared noise."""
         hall, control, readings, target = self.hall, dict(self.control), self.readings.copy(), self.target.copy()
-        there, booked = hall.station == cause.station, hall.target
+        at_station, booked = hall.station == cause.station, hall.target
         match cause.name:
             case "noise of a factor":
                 return replace(self, sigma=self.sigma / cause.size, noise_factor=cause.size)
@@ -248,26 +252,27 @@ class Observations:
                 control[first], control[other] = control[other], control[first]
             case "targets exchanged":
                 other = hall.partner(cause.target)
-                target[there & (booked == cause.target)], target[there & (booked == other)] = other, cause.target
+                at_target, at_partner = (at_station & (booked == t) for t in (cause.target, other))
+                target[at_target], target[at_partner] = other, cause.target
             case "distances in feet":
-                readings[there, 0] /= FOOT
+                readings[at_station, 0] /= FOOT
             case "angles in gon":
-                back = (hall.face == 2)[there]
-                azimuth, elevation = readings[there, 1] + np.pi * back, readings[there, 2]
+                back = (hall.face == 2)[at_station]
+                azimuth, elevation = readings[at_station, 1] + np.pi * back, readings[at_station, 2]
                 raw = (azimuth % (2 * np.pi)) / GON, np.where(back, np.pi - elevation, elevation) / GON
-                readings[there, 1] = raw[0] - np.pi * back
-                readings[there, 2] = np.where(back, np.pi - raw[1], raw[1])
+                readings[at_station, 1] = raw[0] - np.pi * back
+                readings[at_station, 2] = np.where(back, np.pi - raw[1], raw[1])
             case "azimuths counted the other way":
-                readings[there, 1] *= -1
+                readings[at_station, 1] *= -1
         return replace(self, readings=readings, target=target, control=control)
 
     def without(self, control: tuple[int, ...]) -> "Observations":
-        """The same without some control points."""
+        """Observations without the given control points."""
         remaining = {k: x for k, x in self.control.items() if k not in control}
         return replace(self, control=remaining)
 
     def write(self, folder: Path) -> Path:
-        """Write `observations.csv` and `setup.toml`, by the format that docs/reference describes."""
+        """Write `observations.csv` and `setup.toml`, in the format that docs/reference describes; return the folder."""
         folder.mkdir(parents=True, exist_ok=True)
         hall, noise, factor = self.hall, self.hall.noise, self.noise_factor
         lines = ["station,target,face,repeat,time_s,azimuth_deg,elevation_deg,distance_mm"]

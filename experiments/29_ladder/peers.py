@@ -1,4 +1,4 @@
-"""Adjustment with data snooping (Baarda 1968), started at the true coordinates, and GNU Gama of levelled readings."""
+"""Adjustment with data snooping (Baarda 1968) from the true coordinates, and GNU Gama with levelled readings."""
 
 import shutil
 import subprocess
@@ -20,20 +20,23 @@ from ltsim.recordings.setup import Station
 from .hall import Array, Hall, Observations, name_of, polar
 
 GAMA = "gama-local"
-LEVEL = 0.05
+FALSE_ALARM_RATE = 0.05
 """False alarm rate of data snooping in one recording, divided among all observations (Baarda 1968)."""
-LEAST_REDUNDANCY = 1e-6
-"""Redundancy of an observation below which its residual is rounding."""
-MOST = 0.5
-"""Share of the observations that snooping may reject."""
-STEPS, LEAST_STEP = 30, 1e-9
-"""Iterations of Gauss and Newton, and the step [m, rad] that ends them."""
+MIN_REDUNDANCY = 1e-6
+"""Redundancy below which the residual of an observation is only rounding, and is not tested."""
+MAX_REJECTED_FRACTION = 0.5
+"""Largest fraction of the observations that snooping may reject."""
+STEPS, MIN_STEP = 30, 1e-9
+"""Largest number of Gauss-Newton iterations, and the step [m, rad] below which they end."""
 LIMIT_S = 120.0
 
 
 @dataclass(frozen=True)
 class Network:
-    """Poses and targets of an adjustment, linearised there; unknowns are positions, rotations, targets."""
+    """Poses and targets of an adjustment, at which it is linearised.
+
+    The unknowns are positions, rotations and targets, in this order.
+    """
 
     observations: Observations
     position: Array
@@ -42,12 +45,12 @@ class Network:
 
     @classmethod
     def at_truth(cls, observations: Observations) -> "Network":
-        """The network at the true poses and targets."""
+        """Network at the true poses and targets."""
         hall = observations.hall
         return cls(observations, hall.position, hall.rotation, hall.points)
 
     def misclosure(self) -> Array:
-        """Observed minus computed in standard deviations (m,): pointings, control points, length."""
+        """Observed minus computed values (m,) in standard deviations: pointings, control points, length."""
         o, s = self.observations, self.observations.hall.station
         gap = o.readings - polar(self.rotation[s], self.position[s], self.points[o.target])
         gap[:, 1] = (gap[:, 1] + np.pi) % (2 * np.pi) - np.pi
@@ -57,7 +60,7 @@ class Network:
         return np.concatenate([(gap / o.sigma).ravel(), control.ravel(), [length / (1e-3 * noise["length_mm"])]])
 
     def design(self) -> Array:
-        """Derivatives of the observations in standard deviations by the unknowns (m, u)."""
+        """Derivatives (m, u) of the observations, in standard deviations, by the unknowns."""
         o, n, stations = self.observations, len(self.observations.readings), len(self.position)
         station, target = o.hall.station, o.target
         x = np.einsum("nij,nj->ni", self.rotation[station], self.points[target] - self.position[station])
@@ -86,35 +89,35 @@ class Network:
             reference_rows[-1, begin : begin + 3] = sign * along / (1e-3 * o.hall.noise["length_mm"])
         return np.concatenate([rows.reshape(3 * n, width), reference_rows])
 
-    def moved(self, step: Array) -> "Network":
-        """The network after a step of the unknowns (u,)."""
+    def with_step(self, step: Array) -> "Network":
+        """Network after a step (u,) of the unknowns."""
         count = 3 * len(self.position)
         turn = Rotation.from_rotvec(step[count : 2 * count].reshape(-1, 3)).as_matrix()
         return Network(self.observations, self.position + step[:count].reshape(-1, 3), turn @ self.rotation,
                        self.points + step[2 * count :].reshape(-1, 3))  # fmt: skip
 
     def adjusted(self, use: Array) -> "Network":
-        """Least squares of the observations in use (m,)."""
+        """Network after least-squares adjustment of the observations in use (m,)."""
         network = self
         for _ in range(STEPS):
             step = np.linalg.lstsq(network.design()[use], network.misclosure()[use], rcond=1e-13)[0]
-            network = network.moved(step)
-            if np.abs(step).max() < LEAST_STEP:
+            network = network.with_step(step)
+            if np.abs(step).max() < MIN_STEP:
                 break
         return network
 
-    def standardised(self, use: Array) -> Array:
-        """Standardised residuals (m,), 0 for observations that are rejected or not checked by others."""
+    def standardised_residuals(self, use: Array) -> Array:
+        """Standardised residuals (m,); 0 for rejected observations and observations without redundancy."""
         design = self.design()[use]
         basis = qr(design / np.linalg.norm(design, axis=0), mode="economic")[0]
         redundancy = 1.0 - (basis**2).sum(axis=1)
-        values, checked = np.zeros(len(use)), redundancy > LEAST_REDUNDANCY
+        values, checked = np.zeros(len(use)), redundancy > MIN_REDUNDANCY
         values[np.flatnonzero(use)[checked]] = self.misclosure()[use][checked] / np.sqrt(redundancy[checked])
         return values
 
 
 def noncentrality(hall: Hall, change: Observations) -> float:
-    """Increase of the expected chi-square by a small change of the noise-free observations, linearised at the truth."""
+    """Noncentrality of a small change of the noise-free observations, linearised at the truth."""
     exact = Network.at_truth(Observations.of(hall, noisy=False))
     basis = qr(exact.design(), mode="economic")[0]
     signal = Network.at_truth(change).misclosure()
@@ -123,7 +126,7 @@ def noncentrality(hall: Hall, change: Observations) -> float:
 
 @dataclass(frozen=True)
 class Answer:
-    """Coordinates (T, 3) of targets [m], and stations and targets of the first observation that is rejected."""
+    """Coordinates (T, 3) [m] of targets, and stations and targets of the first rejected observation."""
 
     points: Array
     stations: set[str]
@@ -137,9 +140,9 @@ def snooping(observations: Observations) -> Answer:
     critical = critical_value(len(use))
     while True:
         network = network.adjusted(use)
-        size = np.abs(network.standardised(use))
+        size = np.abs(network.standardised_residuals(use))
         worst = int(np.argmax(size))
-        if size[worst] < critical or len(rejected) >= MOST * len(use):
+        if size[worst] < critical or len(rejected) >= MAX_REJECTED_FRACTION * len(use):
             break
         rejected.append(worst)
         use[worst] = False
@@ -147,8 +150,8 @@ def snooping(observations: Observations) -> Answer:
 
 
 def critical_value(count: int) -> float:
-    """Limit of a standardised residual among `count` observations."""
-    return float(norm.isf(0.5 * LEVEL / count))
+    """Critical value of the largest of `count` standardised residuals."""
+    return float(norm.isf(0.5 * FALSE_ALARM_RATE / count))
 
 
 def place_of(observations: Observations, rows: Sequence[int]) -> tuple[set[str], set[str]]:
@@ -166,8 +169,8 @@ def place_of(observations: Observations, rows: Sequence[int]) -> tuple[set[str],
     return stations, targets
 
 
-def levelled(observations: Observations) -> Observations:
-    """The observations as set-ups without tilt would have read them, on one face."""
+def levelled_observations(observations: Observations) -> Observations:
+    """Observations of the same hall on one face, from set-ups without tilt."""
     hall = observations.hall
     upright = np.array([rotation_about_z(np.arctan2(r[0, 1], r[0, 0])) for r in hall.rotation])
     d, az, el = observations.readings.T
@@ -178,8 +181,8 @@ def levelled(observations: Observations) -> Observations:
 
 
 def gama_file(observations: Observations, folder: Path) -> Path:
-    """The levelled observations in the format of GNU Gama."""
-    recording = lt.read(levelled(observations).write(folder))
+    """File with the levelled observations in the format of GNU Gama."""
+    recording = lt.read(levelled_observations(observations).write(folder))
     setup = recording.setup
     stations = {name: Station(levelled=True) for name in recording.stations}
     file = folder / "network.gkf"
@@ -188,10 +191,13 @@ def gama_file(observations: Observations, folder: Path) -> Path:
 
 
 def gama(observations: Observations, folder: Path) -> Answer:
-    """GNU Gama's adjustment, by Cholesky; it rejects nothing and lists residuals, of which the largest is taken."""
+    """Adjustment of GNU Gama by the Cholesky algorithm.
+
+    GNU Gama rejects no observation; the one with the largest residual above the critical value is reported.
+    """
     file, result = gama_file(observations, folder), folder / "adjusted.xml"
-    words = [GAMA, str(file), "--algorithm", "cholesky", "--xml", str(result), "--cov-band", "0"]
-    subprocess.run(words, check=True, timeout=LIMIT_S, capture_output=True)
+    command = [GAMA, str(file), "--algorithm", "cholesky", "--xml", str(result), "--cov-band", "0"]
+    subprocess.run(command, check=True, timeout=LIMIT_S, capture_output=True)
     return gama_answer(ElementTree.parse(result).getroot(), len(observations.hall.points))
 
 
@@ -208,5 +214,5 @@ def gama_answer(root: Element, count: int) -> Answer:
 
 
 def is_installed() -> bool:
-    """True if GNU Gama's program is on the PATH."""
+    """True if GNU Gama's program `gama-local` is on the PATH."""
     return shutil.which(GAMA) is not None

@@ -3,7 +3,7 @@
     python -m experiments 29             # all halls; ten minutes of processor time
     python -m experiments 29 tables      # the tables of the committed rows, in seconds
 
-GNU Gama is asked where `gama-local` is on the PATH.
+GNU Gama takes part if `gama-local` is on the PATH.
 """
 
 import re
@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 
 import ltsim as lt
-from experiments.common import Made, Options, Row, show_table, tell, write_table
+from experiments.common import Options, Row, RunRecord, print_line, show_table, write_table
 from experiments.intervals import proportion
 from ltsim.adjustment.identification.cause_tests import CauseTest
 from ltsim.core.errors import LtsimError
@@ -31,21 +31,21 @@ from . import peers
 from .hall import UNITS, Cause, Hall, Observations, Place, name_of
 
 RIGHT = "right"
-LIKELY = 0.5
-"""Probability from which a cause that is reported elsewhere is wrong."""
+MIN_PROBABILITY = 0.5
+"""Probability from which a further finding at a wrong place makes the report of `diagnose` wrong."""
 FACTOR, ALLOWANCE = 1.3, 2e-6
-"""Coordinates are as good as without the cause up to this factor and this length [m]."""
+"""Factor, and additional length [m], up to which coordinate errors count as those without the cause."""
 LIMIT_S = 60.0
-SMALL = 1e-6
-"""Size [SI] at which the noncentrality is evaluated: it grows with the square of the size."""
+SMALL_SIZE = 1e-6
+"""Size [SI] at which the noncentrality is evaluated; it is proportional to the square of the size."""
 
 
 @dataclass(frozen=True)
 class Report:
-    """Answer of an entrant: coordinates (T, 3) [m] if it gives any, and its reports.
+    """Coordinates and reports of a program.
 
-    `names_place` is True if the first report has the place of the cause, `names_other` if another place is reported,
-    `rejects` if anything is.
+    `points` (T, 3) [m] is None for a program without coordinates. `names_place` is True if the first report has the
+    place of the cause, `names_other` if another place is reported, `rejects` if anything is reported.
     """
 
     points: np.ndarray | None
@@ -58,7 +58,7 @@ Entrant = Callable[[Observations, Recording, Place, Path], Report]
 
 
 def _coordinates(result: Any, count: int) -> np.ndarray:
-    """Coordinates (T, 3) [m] of a result, by the order of the targets' names; NaN where there are none."""
+    """Coordinates (T, 3) [m] of a result in the order of the targets; NaN for missing targets."""
     table = result.to_dataframe("targets").set_index("target")
     names = [name_of(k) for k in range(count)]
     return np.asarray(1e-3 * table.reindex(names)[["x_mm", "y_mm", "z_mm"]].to_numpy(dtype=float))
@@ -68,39 +68,39 @@ def _where(report: CauseTest | Finding) -> tuple[set[str], set[str]]:
     return set(report.where.stations), set(report.where.targets)
 
 
-def _of_tests(result: Any, place: Place, count: int) -> Report:
+def _report_of_tests(result: Any, place: Place, count: int) -> Report:
     accepted = [test for test in result.tests if test.accepted]
     at = [place.includes(*_where(test)) for test in accepted]
     return Report(_coordinates(result, count), at[:1] == [True], not all(at), bool(accepted))
 
 
 def adjust(observations: Observations, recording: Recording, place: Place, folder: Path) -> Report:
-    """`ltsim adjust`."""
-    return _of_tests(lt.adjust(recording), place, len(observations.hall.points))
+    """Report of `ltsim adjust`."""
+    return _report_of_tests(lt.adjust(recording), place, len(observations.hall.points))
 
 
 def calibrate(observations: Observations, recording: Recording, place: Place, folder: Path) -> Report:
-    """`ltsim calibrate`."""
-    return _of_tests(lt.calibrate(recording, advise=False), place, len(observations.hall.points))
+    """Report of `ltsim calibrate`."""
+    return _report_of_tests(lt.calibrate(recording, advise=False), place, len(observations.hall.points))
 
 
 def diagnose(observations: Observations, recording: Recording, place: Place, folder: Path) -> Report:
-    """`ltsim diagnose`."""
+    """Report of `ltsim diagnose`."""
     result = lt.diagnose(recording)
-    reported = [f for f in result.findings if f.evidence.probability >= LIKELY or f is result.findings[0]]
+    reported = [f for f in result.findings if f.evidence.probability >= MIN_PROBABILITY or f is result.findings[0]]
     at = [place.includes(*_where(finding)) for finding in reported]
     points = _coordinates(result, len(observations.hall.points))
     return Report(points, at[:1] == [True], not all(at), bool(result.findings))
 
 
 def check(observations: Observations, recording: Recording, place: Place, folder: Path) -> Report:
-    """`ltsim check`, by its first sentence."""
+    """Report of `ltsim check`, from its first sentence."""
     result = lt.check(recording)
     return Report(None, says(result.sentence, place), False, not result.passed)
 
 
 def says(text: str, place: Place) -> bool:
-    """True if a text has every station and target of a place; of the noise, if it speaks of it and of no target."""
+    """True if a text contains every station and target of a place, or the word `noise` if the place is empty."""
     names = sorted(place.stations | place.targets)
     if not names:
         return "noise" in text
@@ -108,17 +108,20 @@ def says(text: str, place: Place) -> bool:
 
 
 def snooping(observations: Observations, recording: Recording, place: Place, folder: Path) -> Report:
-    """Plain adjustment with data snooping."""
-    return _of_peer(peers.snooping(observations), place)
+    """Report of the plain adjustment with data snooping."""
+    return _report_of_peer(peers.snooping(observations), place)
 
 
 def gama(observations: Observations, recording: Recording, place: Place, folder: Path) -> Report:
-    """GNU Gama."""
-    return _of_peer(peers.gama(observations, folder / "gama"), place)
+    """Report of GNU Gama."""
+    return _report_of_peer(peers.gama(observations, folder / "gama"), place)
 
 
-def _of_peer(answer: peers.Answer, place: Place) -> Report:
-    """Report of one observation: it names the place of a cause that acts on several if it is one of these."""
+def _report_of_peer(answer: peers.Answer, place: Place) -> Report:
+    """Report from one rejected observation.
+
+    If a cause acts on several observations, any of them has the right place.
+    """
     stations, targets = answer.stations, answer.targets
     at_targets = bool(place.targets & targets) or not place.targets
     named = bool(place.stations | place.targets) and place.stations <= stations and at_targets
@@ -129,16 +132,19 @@ ENTRANTS: Mapping[str, Entrant] = {f.__name__: f for f in (check, adjust, calibr
 
 
 def error(points: np.ndarray, hall: Hall, lost: Sequence[int]) -> float:
-    """Root mean square of the coordinate errors [m], in the frame of the control points."""
+    """Rms error [m] of coordinates in the frame of the control points, without the targets in `lost`."""
     rows = np.setdiff1d(np.arange(len(points)), lost)
     return float(np.sqrt(np.mean(np.sum((points[rows] - hall.points[rows]) ** 2, axis=1))))
 
 
 def verdict(name: str, report: Report, cause: Cause | None, is_good: bool) -> str:
-    """What is right, beginning with `right`, or what is wrong; smaller noise than declared does not stop `check`."""
-    quiet = cause is None or (cause.name == "noise of a factor" and cause.size < 1.0)
+    """Verdict on a report: it begins with `right`, or names what is wrong.
+
+    `check` is also right if it passes a recording whose noise is smaller than declared.
+    """
+    should_pass = cause is None or (cause.name == "noise of a factor" and cause.size < 1.0)
     if name == "check":
-        if quiet:
+        if should_pass:
             return "stops" if report.rejects else RIGHT
         return RIGHT if report.rejects and report.names_place else "place" if report.rejects else "passes"
     if cause is None:
@@ -152,7 +158,7 @@ def verdict(name: str, report: Report, cause: Cause | None, is_good: bool) -> st
 
 
 def answer(name: str, observations: Observations, cause: Cause | None, folder: Path) -> tuple[str, Report | None]:
-    """Report of an entrant on observations; none, with the reason, where it broke down."""
+    """Problem (empty if there is none) and report of a program on observations; None for the report after a failure."""
     hall, start = observations.hall, time.process_time()
     place = hall.place(cause) if cause else Place()
     try:
@@ -169,12 +175,12 @@ def answer(name: str, observations: Observations, cause: Cause | None, folder: P
 
 
 def rungs(hall: Hall, causes: Sequence[Cause | None], number: int, names: Sequence[str]) -> list[Row]:
-    """Verdicts of all entrants on recordings of a hall with the same noise, each with a cause or without one."""
+    """Verdicts of all programs on recordings of a hall with the same noise, each with one cause or none."""
     rows = []
     references: dict[tuple[str, tuple[int, ...]], float] = {}
     with TemporaryDirectory() as folder:
         for cause in causes:
-            lost, row = hall.lost(cause) if cause else (), Row()
+            lost, row = hall.lost_targets(cause) if cause else (), Row()
             for name in names:
                 problem, report = answer(name, Observations.of(hall, cause, number), cause, Path(folder) / "rung")
                 if report is None or problem:
@@ -191,14 +197,17 @@ def rungs(hall: Hall, causes: Sequence[Cause | None], number: int, names: Sequen
 
 
 def possible(name: str, hall: Hall, number: int, lost: Sequence[int], folder: Path) -> float:
-    """Coordinate error [m] of an entrant without a cause, and without the control points that are lost; else 0."""
+    """Coordinate error [m] of a program without a cause and without the control points that are lost.
+
+    0 after a failure.
+    """
     clean = Observations.of(hall, None, number).without(tuple(set(lost) & set(hall.control.tolist())))
     _, report = answer(name, clean, None, folder)
     return 0.0 if report is None or report.points is None else error(report.points, hall, lost)
 
 
 def rungs_of(hall: Hall, settings: Mapping[str, Any]) -> Iterator[tuple[Row, Cause | None, int]]:
-    """Description, cause and number of noise of every rung of a hall."""
+    """Description, cause and seed number of the noise, for each rung of a hall."""
     for number in range(settings["clean"]):
         yield {"hall": hall.name, "cause": "none", "acts_at": "none"}, None, number
     for number, entry in enumerate(settings["cause"]):
@@ -206,8 +215,8 @@ def rungs_of(hall: Hall, settings: Mapping[str, Any]) -> Iterator[tuple[Row, Cau
         station, target = int(rng.integers(len(hall.position))), int(rng.choice(hall.ordinary))
         sizes, unit = list(entry.get("sizes", [1.0])), entry.get("unit", "")
         if unit:
-            change = Observations.of(hall, Cause(entry["name"], SMALL, station, target), noisy=False)
-            report = SMALL / np.sqrt(peers.noncentrality(hall, change)) / UNITS[unit]
+            change = Observations.of(hall, Cause(entry["name"], SMALL_SIZE, station, target), noisy=False)
+            report = SMALL_SIZE / np.sqrt(peers.noncentrality(hall, change)) / UNITS[unit]
             sizes.insert(0, float(f"{report * np.sqrt(settings['noncentrality']):.3g}"))
         for step, size in enumerate(sizes, start=1):
             cause = Cause(entry["name"], size * UNITS[unit], station, target)
@@ -219,7 +228,7 @@ def rungs_of(hall: Hall, settings: Mapping[str, Any]) -> Iterator[tuple[Row, Cau
 
 
 def table_of(rows: Sequence[Row]) -> list[Row]:
-    """Share of rungs right of each entrant: all, by hall, by where the cause acts, by rung."""
+    """Numbers of rungs with a right verdict for each program: all, by hall, by place of the cause, and by cause."""
     table, names = list[Row](), [name for name in ENTRANTS if name in rows[0]]
     groups = [
         (column, value) for column in ("hall", "acts_at", "cause") for value in dict.fromkeys(r[column] for r in rows)
@@ -239,24 +248,24 @@ def table_of(rows: Sequence[Row]) -> list[Row]:
     return table
 
 
-def run(given: Options) -> Made:
-    settings, file = given.config, given.out / "rows.csv"
-    if "tables" not in given.words:
+def run(options: Options) -> RunRecord:
+    settings, file = options.config, options.out / "rows.csv"
+    if "tables" not in options.arguments:
         names = [name for name in ENTRANTS if name != "gama" or peers.is_installed()]
         if "gama" not in names:
-            tell(f"gama: left out, {peers.GAMA} is not on the PATH")
+            print_line(f"gama: skipped, because {peers.GAMA} is not on the PATH")
         halls = [Hall.of(entry, settings["noise"], settings["seed"] + k) for k, entry in enumerate(settings["hall"])]
         entries = [(hall, *each) for hall in halls for each in rungs_of(hall, settings)]
-        if given.trials is not None:
-            entries = [entry for entry in entries if entry[1].get("rung", 1) <= given.trials]
+        if options.trials is not None:
+            entries = [entry for entry in entries if entry[1].get("rung", 1) <= options.trials]
         groups = [list(group) for _, group in groupby(entries, key=lambda entry: (entry[0].name, entry[3]))]
         tasks = [(group[0][0], [cause for _, _, cause, _ in group], group[0][3], names) for group in groups]
         rows = []
-        for group, verdicts in zip(groups, run_parallel(rungs, tasks, given.jobs), strict=True):
+        for group, verdicts in zip(groups, run_parallel(rungs, tasks, options.jobs), strict=True):
             for (_, row, _, _), verdict_row in zip(group, verdicts, strict=True):
                 rows.append(row | verdict_row)
-                tell("  ".join(str(v) for v in rows[-1].values()))
+                print_line("  ".join(str(v) for v in rows[-1].values()))
         write_table(file, rows)
     rows = pd.read_csv(file).convert_dtypes().to_dict("records")
-    show_table(given.out / "table.csv", table_of(rows))
-    return Made(settings["seed"], given.trials)
+    show_table(options.out / "table.csv", table_of(rows))
+    return RunRecord(settings["seed"], options.trials)

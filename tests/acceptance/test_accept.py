@@ -41,9 +41,9 @@ def write(folder: Path, text: str, **files: str) -> Path:
 def test_predicted_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = write(tmp_path, 'standard = "asme-b89.4.19-2006"\ninstrument = "leica-at500"')
     assert run(["accept", str(file), "--out", str(tmp_path / "out")]) == 0
-    said = capsys.readouterr().out
-    assert "passes all 74 tests with a probability of" in said
-    assert "No test detects azimuth-second-order-cos, elevation-eccentricity-cos" in said
+    output = capsys.readouterr().out
+    assert "passes all 74 tests with a probability of" in output
+    assert "No test detects azimuth-second-order-cos, elevation-eccentricity-cos" in output
     content = json.loads((tmp_path / "out" / "accept.json").read_text())
     assert len(content["tests"]) == 74
     assert run(["report", str(tmp_path / "out")]) == 0
@@ -57,7 +57,7 @@ def test_a_calibrated_instrument_as_it_reads_and_corrected(tmp_path: Path) -> No
     as_read = lt.accept({**SHEET, "calibration": "cal"}, tmp_path)
     corrected = lt.accept({**SHEET, "calibration": "cal", "corrected": True}, tmp_path)
     assert corrected.pass_probability > as_read.pass_probability
-    largest = [max(abs(t.error_um) for t in found.tests) for found in (as_read, corrected)]
+    largest = [max(abs(t.error_um) for t in result.tests) for result in (as_read, corrected)]
     assert largest[1] < 0.1 * largest[0]
 
 
@@ -73,13 +73,16 @@ def test_measured_errors_are_judged(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "All 2 measured errors are within their limits" in capsys.readouterr().out
     file = write(tmp_path, text, plan=PLAN, found="test,error_um,U_um\nbar,-62.5,\nball,30,20\n")
     assert run(["accept", str(file)]) == 1
-    said = capsys.readouterr().out
-    assert "1 of 2 errors exceeds its limit; the worst is bar: -62.5 um where 45.7 um are permitted" in said
-    assert "without an uncertainty and compared with their limits alone: 1 of 2" in said
+    output = capsys.readouterr().out
+    assert "1 of 2 errors exceeds its limit; the worst is bar: -62.5 um where 45.7 um are permitted" in output
+    assert "without an uncertainty and compared with their limits alone: 1 of 2" in output
     file = write(tmp_path, text, plan=PLAN, found="test,error_um\nbar,-2.5\n")
     assert run(["accept", str(file)]) == 1
-    said = capsys.readouterr().out
-    assert "tests of the plan that are not measured: 1" in said and "Measure the other tests of the plan: ball." in said
+    output = capsys.readouterr().out
+    assert (
+        "tests of the plan that are not measured: 1" in output
+        and "Measure the other tests of the plan: ball." in output
+    )
 
 
 @pytest.mark.parametrize(
@@ -122,15 +125,17 @@ def test_measured_errors_are_judged(tmp_path: Path, capsys: pytest.CaptureFixtur
         ("bar,-62.5,\nball,30,\n", "rejected", "Some errors exceed the limits.", "Repeat bar: "),
     ],
 )
-def test_one_judgement_in_json_terminal_page_and_status(
+def test_the_verdict_is_the_same_in_json_terminal_page_and_status(
     errors: str, judgement: str, headline: str, action: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """By ISO 14253-1; the limit of the bar is 45.7 um."""
     text = 'tests_file = "plan.csv"\ninstrument = "leica-at500"\nmeasured_errors_file = "found.csv"'
     file, out = write(tmp_path, text, plan=PLAN, found=f"test,error_um,U_um\n{errors}"), tmp_path / "out"
     assert run(["accept", str(file), "--out", str(out)]) == (judgement != "accepted")
-    said = capsys.readouterr().out
-    assert f"judgement: {judgement};" in said and action in said and ("What to do next" in said) == bool(action)
+    printed = capsys.readouterr().out
+    assert (
+        f"judgement: {judgement};" in printed and action in printed and ("What to do next" in printed) == bool(action)
+    )
     assert json.loads((out / "accept.json").read_text())["judgement"] == judgement
     assert run(["report", str(out), "-q"]) == 0
     page = (out / "report.html").read_text()
@@ -168,7 +173,7 @@ range_limit_um_per_m = 0
 
 
 @pytest.mark.parametrize(
-    ("text", "plan", "found", "said"),
+    ("text", "plan", "measured", "message"),
     [
         ('standard = "asme-b89.4.19-2006"', PLAN, "", "instrument or the table [specification]"),
         ('instrument = "leica-at500"', PLAN, "", "either standard or tests"),
@@ -206,20 +211,20 @@ range_limit_um_per_m = 0
         ),
     ],
 )
-def test_wrong_input_is_one_sentence(
-    text: str, plan: str, found: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_wrong_input_is_refused_in_a_sentence(
+    text: str, plan: str, measured: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(["accept", str(write(tmp_path, text, plan=plan, found=found))]) == 2
+    assert run(["accept", str(write(tmp_path, text, plan=plan, found=measured))]) == 2
     error = capsys.readouterr().err
-    assert said in error
+    assert message in error
     assert error.count("\n") == 1
 
 
 def test_lengths_of_a_standard_that_no_open_text_has(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text = 'standard = "iso-10360-10"\ninstrument = "leica-at500"'
     assert run(["accept", str(write(tmp_path, text))]) == 2
-    said = capsys.readouterr().err
-    assert said.endswith(
+    error_text = capsys.readouterr().err
+    assert error_text.endswith(
         "give additional_tests_file = FILE, because the length tests of iso-10360-10 are not built in\n"
     )
     assert run(["accept", str(write(tmp_path, f'{text}\nadditional_tests_file = "plan.csv"', plan=PLAN))]) == 0
@@ -260,7 +265,7 @@ def test_network_method(tmp_path: Path) -> None:
     assert not any(t.judgement == "rejected" for t in corrected.tests)
 
 
-def test_one_station_is_refused(tmp_path: Path) -> None:
+def test_a_single_station_is_refused(tmp_path: Path) -> None:
     recording, _ = lt.simulate("paper-laboratory", seed=1)
     only = recording.select(recording.station == 0)
     lt.write(only, tmp_path / "one")
@@ -277,17 +282,17 @@ def test_uncertainty_of_a_network_length_holds_over_many_networks():
     short, long = [], []
     for seed in range(12):
         recording, truth = lt.simulate("paper-workshop", seed=seed)
-        own = evaluate_network(recording, sheet).test_outcomes
+        outcomes = evaluate_network(recording, sheet).test_outcomes
         ends = {target: truth.target_points[recording.targets.index(target)] for target in recording.targets}
         adjusted = adjust(recording, declared_construction(recording))
         placed = dict(zip(recording.targets, adjusted.state.target_points, strict=True))
-        for found in own:
-            if found.group != "lengths from S1":
+        for outcome in outcomes:
+            if outcome.group != "lengths from S1":
                 continue
-            first, second = found.name.removeprefix("S1: ").split(" to ")
+            first, second = outcome.name.removeprefix("S1: ").split(" to ")
             true = np.linalg.norm(ends[second] - ends[first])
             estimated = np.linalg.norm(placed[second] - placed[first])
-            (short if true < 2.5 else long).append((estimated - true) / (1e-6 * found.expanded_uncertainty_um / 2))
+            (short if true < 2.5 else long).append((estimated - true) / (1e-6 * outcome.expanded_uncertainty_um / 2))
     for z in (short, long):
         assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.15), len(z)
 
@@ -296,14 +301,14 @@ def test_uncertainty_of_a_network_length_is_that_of_the_whole_normal_matrix():
     recording, _ = lt.simulate("paper-workshop", seed=7)
     nests = {n: t.model_copy(update={"nest_normal": None}) for n, t in recording.setup.targets.items()}
     recording = recording.replace(setup=recording.setup.model_copy(update={"targets": nests}))  # no incidence errors
-    found = adjust(recording, declared_construction(recording))
-    design = np.asarray(found.solution.system.design)
+    adjustment = adjust(recording, declared_construction(recording))
+    design = np.asarray(adjustment.solution.system.design)
     covariance = np.linalg.inv(design.T @ design)
-    points, at = found.state.target_points, found.problem.unknowns.target_columns
+    points, at = adjustment.state.target_points, adjustment.problem.unknowns.target_columns
     sheet = Specification(
         transverse_limit_um=15, transverse_limit_um_per_m=6, range_limit_um=20, range_limit_um_per_m=1
     )
-    stated = {
+    uncertainties = {
         e.name: 1e-6 * e.expanded_uncertainty_um
         for e in evaluate_network(recording, sheet).test_outcomes
         if e.expanded_uncertainty_um is not None
@@ -313,7 +318,7 @@ def test_uncertainty_of_a_network_length_is_that_of_the_whole_normal_matrix():
         form = np.zeros(len(covariance))
         form[at[a]], form[at[b]] = -along, along
         u = np.sqrt(form @ covariance @ form)
-        assert stated[f"S1: {recording.targets[a]} to {recording.targets[b]}"] == pytest.approx(2 * u, rel=1e-3)
+        assert uncertainties[f"S1: {recording.targets[a]} to {recording.targets[b]}"] == pytest.approx(2 * u, rel=1e-3)
 
 
 GOOD_TRACKER = {"instrument.errors": {"draw": False, "beam-tilt": 0.5}}

@@ -23,7 +23,7 @@ def plan() -> AcceptancePlan:
     )
 
 
-def one(plan: AcceptancePlan, name: str, size: float) -> Floats:
+def predicted_errors(plan: AcceptancePlan, name: str, size: float) -> Floats:
     values = np.zeros(plan.construction.n_parameters)
     values[plan.construction.parameter_index(name)] = size
     return values
@@ -53,7 +53,7 @@ def test_count_of_the_standards(plan: AcceptancePlan) -> None:
 def test_two_face_sensitivities_in_closed_form(plan: AcceptancePlan, name: str, per_unit) -> None:
     """As Muralikrishnan et al. (2009) give them: what flips with the face shows twice."""
     size = 10 * MICROMETRE
-    errors = plan.test_errors(one(plan, name, size))
+    errors = plan.test_errors(predicted_errors(plan, name, size))
     for test, error in zip(plan.tests, errors, strict=True):
         if test.kind == "two-face":
             x, y, z = test.first_point
@@ -64,8 +64,8 @@ def test_two_face_sensitivities_in_closed_form(plan: AcceptancePlan, name: str, 
 def test_length_sensitivities_in_closed_form(plan: AcceptancePlan) -> None:
     """A scale stretches every length; the zero of the ranges acts by the sum of the ends' cosines."""
     scale, zero = (
-        plan.test_errors(one(plan, "range-scale", 1e-6)),
-        plan.test_errors(one(plan, "range-offset", 10 * MICROMETRE)),
+        plan.test_errors(predicted_errors(plan, "range-scale", 1e-6)),
+        plan.test_errors(predicted_errors(plan, "range-offset", 10 * MICROMETRE)),
     )
     for test, stretched, moved in zip(plan.tests, scale, zero, strict=True):
         if test.kind == "length":
@@ -85,9 +85,9 @@ def test_limits(plan: AcceptancePlan) -> None:
 
 
 def test_chance_to_pass_is_that_of_simulated_instruments(plan: AcceptancePlan) -> None:
-    stated = SHEET.to_instrument()
-    prior = np.array([p.prior_sigma_from(stated.prior) for p in plan.construction.parameters])
-    told = plan.predict(np.zeros(len(prior)), np.diag(prior**2), n_trials=20_000, seed=3)
+    nominal = SHEET.to_instrument()
+    prior = np.array([p.prior_sigma_from(nominal.prior) for p in plan.construction.parameters])
+    predicted = plan.predict(np.zeros(len(prior)), np.diag(prior**2), n_trials=20_000, seed=3)
     rng = np.random.default_rng(11)
     passed = [
         plan.is_within_limits(
@@ -96,24 +96,24 @@ def test_chance_to_pass_is_that_of_simulated_instruments(plan: AcceptancePlan) -
         ).all()
         for _ in range(600)
     ]
-    assert np.mean(passed) == pytest.approx(told.all_pass_probability, abs=3 * np.sqrt(0.25 / 600))
-    assert 0 < told.all_pass_probability < min(told.pass_probabilities)
-    assert set(told.pass_probability_by_group) == {t.group for t in plan.tests}
+    assert np.mean(passed) == pytest.approx(predicted.all_pass_probability, abs=3 * np.sqrt(0.25 / 600))
+    assert 0 < predicted.all_pass_probability < min(predicted.pass_probabilities)
+    assert set(predicted.pass_probability_by_group) == {t.group for t in plan.tests}
 
 
 @pytest.mark.parametrize("design", ["source-in-head", "steering-mirror"])
 def test_an_instrument_can_pass_and_be_bad(design: str) -> None:
     built = steering_mirror_construction() if design == "steering-mirror" else misalignment_construction()
-    stated = SHEET.to_instrument(design)
-    plan = AcceptancePlan(tuple(iso_two_face_tests(1.5)), built, SHEET, stated.noise)
-    prior = np.array([p.prior_sigma_from(stated.prior) for p in built.parameters])
+    nominal = SHEET.to_instrument(design)
+    plan = AcceptancePlan(tuple(iso_two_face_tests(1.5)), built, SHEET, nominal.noise)
+    prior = np.array([p.prior_sigma_from(nominal.prior) for p in built.parameters])
     values, rms, largest = plan.worst_passing_constants(prior, points_around_instrument())
     assert plan.is_within_limits(plan.test_errors(values)).all()
     assert np.linalg.norm(values / prior) <= 3.001
     assert largest > rms > 10 * MICROMETRE
 
 
-def test_it_errs_on_a_network_as_told(plan: AcceptancePlan) -> None:
+def test_it_errs_on_a_network_as_predicted(plan: AcceptancePlan) -> None:
     """The worst instrument that passes is simulated in the workshop: targets are off, a good one's are not."""
     prior = np.array([p.prior_sigma_from(SHEET.to_instrument().prior) for p in plan.construction.parameters])
     worst, _, _ = plan.worst_passing_constants(prior, points_around_instrument())
@@ -131,10 +131,10 @@ def test_it_errs_on_a_network_as_told(plan: AcceptancePlan) -> None:
             },
         )
         recording, truth = lt.simulate(scenario, seed=1)
-        found = lt.adjust(recording)
-        places = dict(zip(found.target_names, found.target_points, strict=True))
-        told = np.array([places[name] for name in truth.target_names])
-        gaps = np.linalg.norm(told[:, None] - told[None], axis=2) - np.linalg.norm(
+        adjustment = lt.adjust(recording)
+        places = dict(zip(adjustment.target_names, adjustment.target_points, strict=True))
+        points = np.array([places[name] for name in truth.target_names])
+        gaps = np.linalg.norm(points[:, None] - points[None], axis=2) - np.linalg.norm(
             truth.target_points[:, None] - truth.target_points[None], axis=2
         )
         sizes.append(float(np.sqrt(np.mean(gaps**2))))

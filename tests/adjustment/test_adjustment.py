@@ -22,10 +22,10 @@ def in_first_frame(state: NetworkState) -> np.ndarray:
 @pytest.mark.parametrize("faces", [1, 2])
 def test_exact_readings_give_back_the_network(faces):
     recording, truth = network(faces=faces)
-    found = adjust(recording, ideal_construction())
-    assert found.solution.has_converged
-    np.testing.assert_allclose(found.state.target_points, in_first_frame(truth.state), atol=2e-9)
-    assert found.chi2 < 1e-6
+    adjustment = adjust(recording, ideal_construction())
+    assert adjustment.solution.has_converged
+    np.testing.assert_allclose(adjustment.state.target_points, in_first_frame(truth.state), atol=2e-9)
+    assert adjustment.chi2 < 1e-6
 
 
 @pytest.mark.parametrize("construction", [misalignment_construction(), dh_construction()], ids=["misalignment", "dh"])
@@ -61,21 +61,21 @@ def test_chi2_has_its_distribution_and_redundancies_sum_to_the_degrees_of_freedo
     values = []
     for seed in range(40):
         recording, _ = network(values=drawn(misalignment_construction(), seed), seed=seed)
-        found = adjust(recording, misalignment_construction())
-        values.append(found.p_value)
+        adjustment = adjust(recording, misalignment_construction())
+        values.append(adjustment.p_value)
         if seed == 0:
-            leverage = found.factorised_normals.leverage()
+            leverage = adjustment.factorised_normals.leverage()
             # Datum rows take one each of the six free motions.
-            assert np.sum(1 - leverage) == pytest.approx(found.dof, abs=1e-6)
+            assert np.sum(1 - leverage) == pytest.approx(adjustment.dof, abs=1e-6)
     assert stats.kstest(values, "uniform").pvalue > 0.001
 
 
-def test_an_outlier_is_found_with_its_size():
+def test_an_outlier_is_detected_with_its_size():
     recording, _ = network(seed=5)
     readings = recording.readings.copy()
     readings[33, 0] += 2e-4
-    found = adjust(recording.with_readings(readings), misalignment_construction())
-    first = found.flagged_readings()[0]
+    adjustment = adjust(recording.with_readings(readings), misalignment_construction())
+    first = adjustment.flagged_readings()[0]
     assert (first.pointing_index, first.observable_column) == (33, 0)
     assert first.estimated_error == pytest.approx(2e-4, abs=3e-5)
     assert not adjust(recording, misalignment_construction()).flagged_readings()
@@ -86,13 +86,13 @@ def test_swapped_reflectors_are_screened_and_the_rest_adjusts():
     target = recording.target.copy()
     rows = [int(np.flatnonzero((recording.station == 3) & (recording.target == t))[0]) for t in (2, 17)]
     target[rows] = target[rows[::-1]]
-    found = adjust(recording.replace(target=target), misalignment_construction())
-    assert found.solution.has_converged
-    assert set(np.flatnonzero(found.is_gross_pointing)) == set(rows)
-    assert np.abs(found.state.target_points - in_first_frame(truth.state)).max() < 1e-4
+    adjustment = adjust(recording.replace(target=target), misalignment_construction())
+    assert adjustment.solution.has_converged
+    assert set(np.flatnonzero(adjustment.is_gross_pointing)) == set(rows)
+    assert np.abs(adjustment.state.target_points - in_first_frame(truth.state)).max() < 1e-4
 
 
-def test_one_wrong_pointing_of_three_is_screened_alone():
+def test_only_the_wrong_pointing_of_three_is_screened():
     """Its target starts half way to it: only as the network relaxes it shows which of the three is wrong."""
     recording, truth = network(seed=5)
     keep = (recording.target != 7) | np.isin(recording.station, [1, 2])
@@ -102,9 +102,9 @@ def test_one_wrong_pointing_of_three_is_screened_alone():
     twice = recording.select(np.append(np.arange(len(recording)), first))
     readings = twice.readings.copy()
     readings[-1] += [1.5, 0.6, 0.1]
-    found = adjust(twice.with_readings(readings), misalignment_construction())
-    assert np.flatnonzero(found.is_gross_pointing).tolist() == [len(twice) - 1]
-    assert np.abs(found.state.target_points - in_first_frame(truth.state)).max() < 1e-3
+    adjustment = adjust(twice.with_readings(readings), misalignment_construction())
+    assert np.flatnonzero(adjustment.is_gross_pointing).tolist() == [len(twice) - 1]
+    assert np.abs(adjustment.state.target_points - in_first_frame(truth.state)).max() < 1e-3
 
 
 def test_the_datum_does_not_change_what_is_measured():
@@ -117,14 +117,14 @@ def test_the_datum_does_not_change_what_is_measured():
     other = adjust(recording.replace(setup=levelled), misalignment_construction())
     np.testing.assert_allclose(other.residuals, free.residuals, atol=1e-11)
     assert other.dof == free.dof
-    known = dict(recording.setup.targets)
+    targets = dict(recording.setup.targets)
     for i in (0, 5, 20):
         point = tuple(1e3 * truth.state.target_points[i])
-        known[recording.targets[i]] = known[recording.targets[i]].model_copy(
+        targets[recording.targets[i]] = targets[recording.targets[i]].model_copy(
             update={"known_mm": point, "known_sigma_mm": 1.0}
         )
     control = adjust(
-        recording.replace(setup=recording.setup.model_copy(update={"targets": known})), misalignment_construction()
+        recording.replace(setup=recording.setup.model_copy(update={"targets": targets})), misalignment_construction()
     )
     assert control.solution.has_converged
     assert np.abs(control.state.target_points - truth.state.target_points).max() < 2e-3
@@ -138,21 +138,23 @@ def test_predicted_covariance_is_the_spread_of_repeated_adjustments():
     for seed in range(60):
         values = drawn(construction, seed)
         recording, truth = network(values=values, seed=seed)
-        found = adjust(recording, construction)
-        off = found.state.target_points - in_first_frame(truth.state)
+        adjustment = adjust(recording, construction)
+        off = adjustment.state.target_points - in_first_frame(truth.state)
         squares["targets"].append(
-            np.mean([d @ np.linalg.solve(c, d) for d, c in zip(off, found.target_covariances, strict=True)]) / 3
+            np.mean([d @ np.linalg.solve(c, d) for d, c in zip(off, adjustment.target_covariances, strict=True)]) / 3
         )
         moved = (truth.state.station_positions[1:] - truth.state.station_positions[0]) @ truth.state.station_rotations[
             0
         ]
-        gap = found.state.station_positions[1:] - moved
+        gap = adjustment.state.station_positions[1:] - moved
         squares["poses"].append(
-            np.mean([g @ np.linalg.solve(c[:3, :3], g) for g, c in zip(gap, found.pose_covariance[1:], strict=True)])
+            np.mean(
+                [g @ np.linalg.solve(c[:3, :3], g) for g, c in zip(gap, adjustment.pose_covariance[1:], strict=True)]
+            )
             / 3
         )
-        error = found.state.instrument_parameters[0] - values
-        squares["parameters"].append(error @ np.linalg.solve(found.first_instrument_covariance, error) / 16)
+        error = adjustment.state.instrument_parameters[0] - values
+        squares["parameters"].append(error @ np.linalg.solve(adjustment.first_instrument_covariance, error) / 16)
     for kind, normalised in squares.items():
         spread = np.std(normalised) / np.sqrt(len(normalised))
         assert np.mean(normalised) == pytest.approx(1.0, abs=4 * spread), kind
@@ -167,9 +169,14 @@ def test_a_station_with_two_common_targets_is_named():
 
 def test_failure_is_a_status_until_somebody_asks():
     recording, _ = network(seed=1)
-    found = adjust(recording, misalignment_construction())
-    broken = found.solution.__class__(
-        found.state, 1.0, 3, type(found.solution.status).MAX_ITERATIONS_REACHED, None, found.solution.system
+    adjustment = adjust(recording, misalignment_construction())
+    broken = adjustment.solution.__class__(
+        adjustment.state,
+        1.0,
+        3,
+        type(adjustment.solution.status).MAX_ITERATIONS_REACHED,
+        None,
+        adjustment.solution.system,
     )
     with pytest.raises(ConvergenceError, match="limit of iterations"):
         broken.require_success()

@@ -41,37 +41,39 @@ def distances(points: np.ndarray) -> np.ndarray:
 def test_results_come_out_in_named_coordinates(recording: Recording) -> None:
     plain = adjust(recording)
     goal = hall(recording, ["T01", "T06", "T12", "T20", "T25"])
-    found = adjust(with_axes_from_points(recording, goal, "hall.csv"))
+    adjustment = adjust(with_axes_from_points(recording, goal, "hall.csv"))
     for name, place in goal.items():
-        np.testing.assert_allclose(found.state.target_points[recording.targets.index(name)], place, atol=2e-9)
-    np.testing.assert_allclose(distances(found.state.target_points), distances(plain.state.target_points), atol=1e-9)
-    np.testing.assert_allclose(found.chi2, plain.chi2, rtol=1e-7)
-    np.testing.assert_allclose(found.state.station_rotations, TURN @ plain.state.station_rotations, atol=1e-9)
+        np.testing.assert_allclose(adjustment.state.target_points[recording.targets.index(name)], place, atol=2e-9)
+    np.testing.assert_allclose(
+        distances(adjustment.state.target_points), distances(plain.state.target_points), atol=1e-9
+    )
+    np.testing.assert_allclose(adjustment.chi2, plain.chi2, rtol=1e-7)
+    np.testing.assert_allclose(adjustment.state.station_rotations, TURN @ plain.state.station_rotations, atol=1e-9)
 
 
 def test_three_targets_span_the_axes_exactly(recording: Recording) -> None:
     """By the 3-2-1 rule, in covariance too: what defines the axes is not uncertain in them."""
     named = with_axes_from_three_targets(recording, "T01", "T04", "T20")
-    for found in (lt.adjust(named), adjust(named)):
-        points = found.target_points if hasattr(found, "target_points") else found.state.target_points
+    for result in (lt.adjust(named), adjust(named)):
+        points = result.target_points if hasattr(result, "target_points") else result.state.target_points
         a, b, c = (points[recording.targets.index(name)] for name in ("T01", "T04", "T20"))
         np.testing.assert_allclose([*a, b[1], b[2], c[2]], 0.0, atol=1e-9)
         assert b[0] > 0 < c[1]
-        sigma = np.sqrt(np.einsum("tii->ti", found.target_covariances))
+        sigma = np.sqrt(np.einsum("tii->ti", result.target_covariances))
         np.testing.assert_allclose(sigma[recording.targets.index("T01")], 0.0, atol=1e-9)
         assert sigma[recording.targets.index("T20")][0] > 1e-6
     assert "the axes of the declared coordinates of the datum's targets" in lt.adjust(named).frame
 
 
-def test_axes_are_known_as_well_as_the_coordinates_that_give_them_fit(recording: Recording) -> None:
+def test_axes_are_determined_as_well_as_the_coordinates_that_give_them_fit(recording: Recording) -> None:
     names = list(recording.targets[:12])
     rough, fine = (
         lt.adjust(with_axes_from_points(recording, hall(recording, names, noise=n), "h")) for n in (3e-3, 3e-4)
     )
     assert rough.axes is not None
     assert fine.axes is not None
-    for one, noise in ((rough, 3.0), (fine, 0.3)):  # the noise is a sine: its rms is 0.7 of its height
-        assert np.array(one.axes.sigma_position_mm) == pytest.approx(noise / np.sqrt(2 * 12), rel=0.4)
+    for adjustment, noise in ((rough, 3.0), (fine, 0.3)):  # the noise is a sine: its rms is 0.7 of its height
+        assert np.array(adjustment.axes.sigma_position_mm) == pytest.approx(noise / np.sqrt(2 * 12), rel=0.4)
     lever = np.linalg.norm(np.ptp(rough.target_points[:12], axis=0)) / 2
     turn = 2.1 / np.sqrt(12) / (1e3 * lever) / ARCSECOND
     assert np.all(np.array(rough.axes.sigma_rotation_arcsec) > 0.5 * turn)
@@ -100,11 +102,11 @@ def test_the_scale_of_right_coordinates_is_not_blamed_for_the_uncertain_scale_of
     assert "the scale of the coordinates" not in note
 
 
-def test_a_drawing_fits_roughly_and_a_wrong_name_is_left_out(recording: Recording) -> None:
+def test_a_drawing_fits_roughly_and_a_wrong_name_is_excluded(recording: Recording) -> None:
     goal = hall(recording, list(recording.targets[:12]), noise=3e-3)
     goal["T05"] = goal["T05"] + [0.4, 0.0, 0.0]
-    found = with_axes_from_points(recording, goal, "hall.csv")
-    (note,) = lt.adjust(found).notes
+    aligned = with_axes_from_points(recording, goal, "hall.csv")
+    (note,) = lt.adjust(aligned).notes
     assert "11 targets fit it within" in note
     assert "excluded from the datum: T05 (39" in note
 
@@ -132,9 +134,9 @@ def test_wrong_frames(recording: Recording) -> None:
         with_axes_from_three_targets(recording, "T01", "T99", "T20")
     with pytest.raises(RecordError, match="lie on one line"):
         with_axes_from_three_targets(recording, "T01", "T02", "T03")
-    known = recording.setup.model_copy(update={"targets": {"T01": Target(known_mm=(0.0, 0.0, 0.0))}})
+    reference_setup = recording.setup.model_copy(update={"targets": {"T01": Target(known_mm=(0.0, 0.0, 0.0))}})
     with pytest.raises(RecordError, match="leave frame out"):
-        with_axes_from_points(recording.replace(setup=known), goal, "hall.csv")
+        with_axes_from_points(recording.replace(setup=reference_setup), goal, "hall.csv")
 
 
 def test_a_file_of_axes(tmp_path: Path) -> None:
@@ -142,26 +144,26 @@ def test_a_file_of_axes(tmp_path: Path) -> None:
     (tmp_path / "b.txt").write_text("A 1 2 1000\n")
     (tmp_path / "c.csv").write_text("# from the drawing\nname;x_mm;y_mm;z_mm\nA;1,0;2;3\nB;;;\n")
     for name in ("a.csv", "b.txt", "c.csv"):
-        found = read_points(tmp_path / name, refuses_contradictions=False).coordinates_by_name
-        assert list(found) == ["A"]
-        np.testing.assert_allclose(found["A"][:2], [0.001, 0.002])
+        coordinates = read_points(tmp_path / name, refuses_contradictions=False).coordinates_by_name
+        assert list(coordinates) == ["A"]
+        np.testing.assert_allclose(coordinates["A"][:2], [0.001, 0.002])
     (tmp_path / "d.csv").write_text("what;when\nA;1\n")
     with pytest.raises(RecordError, match=r"d.csv: is not a list of coordinates, expected a header"):
         read_points(tmp_path / "d.csv", refuses_contradictions=False)
 
 
 def test_rough_places_of_stations_give_the_axes_of_the_floor_plan(recording: Recording) -> None:
-    stated = {
+    stations = {
         name: Station(position_mm=tuple((STATIONS[i] * 1e3).round(-2)), yaw_deg=float(np.degrees(YAWS[i]).round()))
         for i, name in enumerate(recording.stations)
     }
-    placed = recording.replace(setup=recording.setup.model_copy(update={"stations": stated}))
-    found, plain = lt.adjust(placed), lt.adjust(recording)
-    for station, place in zip(found.stations, STATIONS, strict=False):
+    placed = recording.replace(setup=recording.setup.model_copy(update={"stations": stations}))
+    adjustment, plain = lt.adjust(placed), lt.adjust(recording)
+    for station, place in zip(adjustment.stations, STATIONS, strict=False):
         np.testing.assert_allclose(station.position, place, atol=0.15)
-    assert "floor plan" in found.frame
-    np.testing.assert_allclose(found.fit.chi2, plain.fit.chi2, rtol=1e-7)
-    np.testing.assert_allclose(found.stations[0].sigma_position, 0, atol=1e-7)
+    assert "floor plan" in adjustment.frame
+    np.testing.assert_allclose(adjustment.fit.chi2, plain.fit.chi2, rtol=1e-7)
+    np.testing.assert_allclose(adjustment.stations[0].sigma_position, 0, atol=1e-7)
     elsewhere = {name: Station(position_mm=(0.0, 1e4 * i * i, 0.0)) for i, name in enumerate(recording.stations)}
     lost = recording.replace(setup=recording.setup.model_copy(update={"stations": elsewhere}))
     assert "station S1" in lt.adjust(lost).frame

@@ -32,18 +32,18 @@ def noisy(seed: int = 0, stations: int = 5, **readings: object) -> Recording:
     return recording.with_readings(recording.readings + noise)
 
 
-def with_known(recording: Recording, points: np.ndarray) -> Recording:
+def with_reference_points(recording: Recording, points: np.ndarray) -> Recording:
     """The recording with known coordinates of its first targets."""
     named = zip(recording.targets, points, strict=False)
-    known = {name: Target(known_mm=tuple(1e3 * point), known_sigma_mm=0.01) for name, point in named}
-    return recording.replace(setup=recording.setup.model_copy(update={"targets": known}))
+    targets = {name: Target(known_mm=tuple(1e3 * point), known_sigma_mm=0.01) for name, point in named}
+    return recording.replace(setup=recording.setup.model_copy(update={"targets": targets}))
 
 
 def test_a_sound_recording_has_no_doubts() -> None:
-    found = adjust(noisy())
-    assert adjustment_warnings(found) == ()
-    assert verdict_on(found).case is VerdictCase.CLEAN
-    lt.adjust(with_known(noisy(), workshop()[1].target_points[:6] @ rotation_about_z(0.3).T + 5.0))
+    adjustment = adjust(noisy())
+    assert adjustment_warnings(adjustment) == ()
+    assert verdict_on(adjustment).case is VerdictCase.CLEAN
+    lt.adjust(with_reference_points(noisy(), workshop()[1].target_points[:6] @ rotation_about_z(0.3).T + 5.0))
 
 
 @pytest.mark.long
@@ -62,9 +62,9 @@ def test_gon_read_as_degrees_is_refused_with_the_unit_that_fits() -> None:
         (lambda x: x[[1, 0, 2, 3, 5, 4, 6, 7]], "coordinates and names"),
     ],
 )
-def test_known_points_that_contradict_the_readings_are_refused(change, words: str) -> None:
+def test_reference_points_that_contradict_the_readings_are_refused(change, words: str) -> None:
     with pytest.raises(NetworkError, match=rf"known points contradict the readings.*{words}"):
-        lt.adjust(with_known(noisy(), change(workshop()[1].target_points[:8])))
+        lt.adjust(with_reference_points(noisy(), change(workshop()[1].target_points[:8])))
 
 
 def test_with_two_stations_nobody_can_tell_which_of_two_exchanged_names_is_right() -> None:
@@ -87,22 +87,22 @@ def test_a_station_with_clockwise_azimuths_is_doubted_aloud() -> None:
     assert "station S4" in judged.sentence or "Station S4" in judged.sentence
 
 
-def test_a_station_without_readings_left_has_no_standard_deviation() -> None:
+def test_a_station_with_only_rejected_readings_has_no_standard_deviation() -> None:
     """Names rotated at one station: nothing of it fits, and what is held is not known."""
     recording = noisy()
-    own = recording.station == 2
+    is_of_station = recording.station == 2
     target = recording.target.copy()
-    target[own] = np.roll(target[own], 5)
-    found = adjust(recording.replace(target=target), robust=True)
-    kept = found.problem.is_used_reading[own].any()
-    sigma = np.sqrt(np.einsum("sii->si", found.pose_covariance))
+    target[is_of_station] = np.roll(target[is_of_station], 5)
+    adjustment = adjust(recording.replace(target=target), robust=True)
+    is_used = adjustment.problem.is_used_reading[is_of_station].any()
+    sigma = np.sqrt(np.einsum("sii->si", adjustment.pose_covariance))
     assert np.isfinite(sigma[[0, 1, 3, 4]]).all()
-    if kept:
-        assert verdict_on(found).sentence.startswith("Station S3 has")
+    if is_used:
+        assert verdict_on(adjustment).sentence.startswith("Station S3 has")
     else:
         assert np.isnan(sigma[2]).all()
-        assert found.undetermined_stations == ("S3",)
-        assert "do not determine the full pose of station S3" in verdict_on(found).sentence
+        assert adjustment.undetermined_stations == ("S3",)
+        assert "do not determine the full pose of station S3" in verdict_on(adjustment).sentence
 
 
 def test_a_station_over_the_target_that_it_measures_is_refused_with_its_row() -> None:
@@ -112,7 +112,7 @@ def test_a_station_over_the_target_that_it_measures_is_refused_with_its_row() ->
         adjust(recording.replace(setup=setup))
 
 
-def test_targets_on_one_line_are_said_to_be_on_one_line() -> None:
+def test_targets_on_a_line_are_reported_to_be_on_a_line() -> None:
     recording, state = workshop()
     line = state.target_points[0] + np.linspace(0, 3, 10)[:, None] * [0.3, 0.1, 0.2]
     points = state.target_points.copy()
@@ -134,10 +134,10 @@ def test_copies_of_rows_do_not_sharpen_a_result(times: int, clock: bool) -> None
     once = noisy().replace(has_clock=clock)
     rows = {n: np.tile(getattr(once, n), times) for n in ("station", "target", "face", "repeat", "time")}
     copied = adjust(once.replace(**rows, readings=np.tile(once.readings, (times, 1))))
-    found = adjust(once)
-    assert copied.chi2 == pytest.approx(found.chi2)
-    assert copied.dof == found.dof
-    assert copied.target_covariances == pytest.approx(found.target_covariances, rel=1e-9, abs=1e-16)
+    adjustment = adjust(once)
+    assert copied.chi2 == pytest.approx(adjustment.chi2)
+    assert copied.dof == adjustment.dof
+    assert copied.target_covariances == pytest.approx(adjustment.target_covariances, rel=1e-9, abs=1e-16)
     assert adjustment_warnings(copied)[0].startswith(f"{(times - 1) * len(once)} rows are exact copies of other rows")
     assert not copied.is_rejected_reading.any()
 
@@ -168,9 +168,9 @@ def test_two_targets_do_for_levelled_stations() -> None:
     levelled = {name: Station(levelled=True) for name in recording.stations}
     setup = recording.setup.model_copy(update={"stations": levelled, "gauge": None})
     target = (recording.target[keep] == 3).astype(np.int64)
-    found = adjust(recording.replace(**rows, target=target, targets=("A", "B"), setup=setup))
-    assert found.solution.has_converged
-    assert np.isfinite(found.pose_covariance).all()
+    adjustment = adjust(recording.replace(**rows, target=target, targets=("A", "B"), setup=setup))
+    assert adjustment.solution.has_converged
+    assert np.isfinite(adjustment.pose_covariance).all()
 
 
 def test_impossible_noise_and_directions_end_in_a_sentence() -> None:
@@ -200,21 +200,22 @@ def on_a_line(off: float) -> tuple[Recording, NetworkState]:
 
 
 @pytest.mark.parametrize(("off", "bent"), [(3e-2, False), (1e-3, True)])
-def test_a_pose_whose_linear_covariance_fails_is_told(off: float, bent: bool) -> None:
+def test_a_pose_whose_linear_covariance_fails_is_reported(off: float, bent: bool) -> None:
     """Curvature against what repeated trials show: 95 % regions hold, or hold far less often."""
     recording, where = on_a_line(off)
     rng, inside, trials = random_stream(2, "bent"), 0, 40
     for _ in range(trials):
         noise = rng.standard_normal(recording.readings.shape) * recording.reading_sigmas()
-        found = adjust(recording.with_readings(recording.readings + noise), start_state=where)
-        gap = found.state.station_positions[4] - where.station_positions[4]
-        inside += gap @ np.linalg.solve(found.pose_covariance[4, :3, :3], gap) < 7.81
-    assert (pose_curvatures(found)[4] > MAX_POSE_CURVATURE) == bent
+        adjustment = adjust(recording.with_readings(recording.readings + noise), start_state=where)
+        gap = adjustment.state.station_positions[4] - where.station_positions[4]
+        inside += gap @ np.linalg.solve(adjustment.pose_covariance[4, :3, :3], gap) < 7.81
+    assert (pose_curvatures(adjustment)[4] > MAX_POSE_CURVATURE) == bent
     assert (inside < 0.8 * trials) == bent
     assert (
-        any("targets of station S5 hardly determine its pose" in doubt for doubt in adjustment_warnings(found)) == bent
+        any("targets of station S5 hardly determine its pose" in doubt for doubt in adjustment_warnings(adjustment))
+        == bent
     )
-    assert not pose_curvatures(found)[:4].any()
+    assert not pose_curvatures(adjustment)[:4].any()
 
 
 @pytest.mark.parametrize("stations", [2, 4])
@@ -242,15 +243,15 @@ def test_a_floor_plan_with_heights_shows_that_elevations_have_a_wrong_sign() -> 
     assert adjustment_warnings(adjust(without_heights)) == ()
 
 
-def test_a_floor_plan_that_fits_the_mirror_image_alone_is_said() -> None:
+def test_a_floor_plan_that_fits_the_mirror_image_alone_is_reported() -> None:
     recording, _ = network(seed=9)
     places = {n: Station(position_mm=tuple(1e3 * p)) for n, p in zip(recording.stations, STATIONS, strict=True)}
     planned = recording.replace(setup=recording.setup.model_copy(update={"stations": places}))
     assert adjustment_warnings(adjust(planned)) == ()
     mirrored = planned.readings * [1.0, -1.0, 1.0]
-    (said,) = adjustment_warnings(adjust(planned.with_readings(mirrored)))
-    assert "fit the mirror image of this network" in said
+    (warning,) = adjustment_warnings(adjust(planned.with_readings(mirrored)))
+    assert "fit the mirror image of this network" in warning
     elsewhere = {n: Station(position_mm=(0.0, 1e4 * i * i, 0.0)) for i, n in enumerate(recording.stations)}
     lost = recording.replace(setup=recording.setup.model_copy(update={"stations": elsewhere}))
-    (said,) = adjustment_warnings(adjust(lost))
-    assert "differ from the network by up to" in said
+    (warning,) = adjustment_warnings(adjust(lost))
+    assert "differ from the network by up to" in warning

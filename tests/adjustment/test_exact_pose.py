@@ -33,9 +33,9 @@ def test_exact_coordinates_have_no_uncertainty_in_tables(
 ) -> None:
     lt.write(lt.simulate("paper-workshop", seed=3)[0], tmp_path / "rec")
     assert run([*command, str(tmp_path / "rec"), "--out", str(tmp_path / "out")]) in (0, 1)
-    said = capsys.readouterr().out
-    row = next(line.split() for line in said.splitlines() if line.startswith("S1 "))
+    output = capsys.readouterr().out
+    row = next(line.split() for line in output.splitlines() if line.startswith("S1 "))
     assert row[-3:] == ["-", "-", "-"]
-    assert "S1 has no U in coordinates that are exact, because it defines the frame." in said
+    assert "S1 has no U in coordinates that are exact, because it defines the frame." in output
     poses = json.loads((tmp_path / "out" / "calibration.json").read_text())["stations"]
     assert poses[0]["sigma_position_mm"] == [0.0] * 3 and min(poses[1]["sigma_position_mm"]) > 1e-4

@@ -43,16 +43,16 @@ class Printed:
         path.write_text(f"<gama-local>{head}{inside}</points-observations></network></gama-local>")
         return path
 
-    def beside(self, found: Adjustment) -> tuple[np.ndarray, np.ndarray]:
+    def compared(self, adjustment: Adjustment) -> tuple[np.ndarray, np.ndarray]:
         """Rows of our and their coordinate [m] and standard deviation by sigma0 [mm], as (k, 2) each."""
         places, sigma = (
-            found.state.target_points,
-            found.sigma0 * np.sqrt(found.target_covariances[:, range(3), range(3)]),
+            adjustment.state.target_points,
+            adjustment.sigma0 * np.sqrt(adjustment.target_covariances[:, range(3), range(3)]),
         )
         ours, theirs = [], []
         for point in self.adjusted.split("; "):
             name, *words = point.split()
-            t = found.recording.targets.index(name)
+            t = adjustment.recording.targets.index(name)
             for axis, value, deviation in zip(words[::3], words[1::3], words[2::3], strict=True):
                 k, sign = "xyz".index(axis), -1 if axis == "y" and self.axes == "ne" else 1
                 ours.append((sign * places[t, k], 1e3 * sigma[t, k]))
@@ -210,11 +210,11 @@ LEVELLED, VECTORS, SHARED, CORRELATED, DIRECTIONS, BACK = NETWORKS.values()
 @pytest.mark.parametrize("kind", NETWORKS)
 def test_a_network_agrees_with_the_printed_digit(tmp_path: Path, kind: str) -> None:
     network = NETWORKS[kind]
-    found = adjust(read(network.write(tmp_path / "network.gkf")))
-    ours, theirs = network.beside(found)
-    assert not found.rejected_references
-    assert found.dof == network.dof
-    assert found.chi2 == pytest.approx(network.pvv, rel=1e-5)
+    adjustment = adjust(read(network.write(tmp_path / "network.gkf")))
+    ours, theirs = network.compared(adjustment)
+    assert not adjustment.rejected_references
+    assert adjustment.dof == network.dof
+    assert adjustment.chi2 == pytest.approx(network.pvv, rel=1e-5)
     assert np.abs(ours - theirs)[:, 0].max() < PRINTED
     assert np.abs(ours - theirs)[:, 1].max() < 0.051
 
@@ -251,12 +251,12 @@ def test_a_wrong_difference_is_named_and_the_readings_stay(
     tmp_path: Path, network: Printed, old: str, new: str, name: str, robust: bool
 ) -> None:
     """But for a line that nothing checks."""
-    found = adjust(read(network.write(tmp_path / "network.gkf", old, new)), robust=robust)
-    told = [test.sentence for test in found.rejected_references]
-    assert len(told) == bool(name)
-    assert all(name in sentence and "as the readings show: excluded" in sentence for sentence in told)
-    assert not found.is_rejected_reading.any()
-    assert found.sigma0 == pytest.approx(1.0, abs=0.3)
+    adjustment = adjust(read(network.write(tmp_path / "network.gkf", old, new)), robust=robust)
+    sentences = [test.sentence for test in adjustment.rejected_references]
+    assert len(sentences) == bool(name)
+    assert all(name in sentence and "as the readings show: excluded" in sentence for sentence in sentences)
+    assert not adjustment.is_rejected_reading.any()
+    assert adjustment.sigma0 == pytest.approx(1.0, abs=0.3)
 
 
 def test_levels_alone_give_heights_and_what_none_reaches_has_none(tmp_path: Path) -> None:
@@ -268,13 +268,13 @@ def test_levels_alone_give_heights_and_what_none_reaches_has_none(tmp_path: Path
         aimed = f'<obs from="{at}"><direction to="D" val="{aim}" stdev="5"/>'
         inside = inside.replace(f'<obs from="{at}">', aimed)
     inside = inside.replace('<point id="E"', '<point id="D" adj="xyz"/><point id="E"')
-    found = adjust(read(Printed("en", inside, "", 0.0, 0).write(tmp_path / "network.gkf")))
-    names = found.recording.targets
+    adjustment = adjust(read(Printed("en", inside, "", 0.0, 0).write(tmp_path / "network.gkf")))
+    names = adjustment.recording.targets
     lines = {"A": 10.0001, "B": 14.1995, "C": 4.0993, "E": 18.8993}
     for name, height in lines.items():
-        assert found.state.target_points[names.index(name), 2] == pytest.approx(height, abs=1e-6)
-    assert [names[t] for t in np.flatnonzero(found.is_height_undetermined_target)] == ["D"]
-    tested = {t.name: t.redundancy[0] for t in found.reference_tests if t.kind == "difference"}
+        assert adjustment.state.target_points[names.index(name), 2] == pytest.approx(height, abs=1e-6)
+    assert [names[t] for t in np.flatnonzero(adjustment.is_height_undetermined_target)] == ["D"]
+    tested = {t.name: t.redundancy[0] for t in adjustment.reference_tests if t.kind == "difference"}
     assert [name for name, redundancy in tested.items() if redundancy > 1e-3] == ["A-B", "A-B#2"]
     assert set(tested) == {"BM-A", "A-B", "A-B#2", "B-C", "C-E"}
 
@@ -285,27 +285,27 @@ def test_a_difference_wrong_by_far_goes_where_others_contradict_each_other(tmp_p
     for old, new in (('"4.1989"', '"1504.1989"'), ('"14.8000"', '"14.8300"'), ('"-8.9000"', '"-8.8600"')):
         assert old in inside
         inside = inside.replace(old, new)
-    found = adjust(read(Printed("en", inside, "", 0.0, 0).write(tmp_path / "network.gkf")))
-    assert [(test.name, test.is_excluded) for test in found.rejected_references] == [("A-B#2", True)]
-    assert found.rejected_references[0].error[0] == pytest.approx(1500.0, abs=0.1)
-    assert np.abs(found.state.target_points[:, 2] - [14.2, 4.1, 18.9, 10.0]).max() < 0.05
+    adjustment = adjust(read(Printed("en", inside, "", 0.0, 0).write(tmp_path / "network.gkf")))
+    assert [(test.name, test.is_excluded) for test in adjustment.rejected_references] == [("A-B#2", True)]
+    assert adjustment.rejected_references[0].error[0] == pytest.approx(1500.0, abs=0.1)
+    assert np.abs(adjustment.state.target_points[:, 2] - [14.2, 4.1, 18.9, 10.0]).max() < 0.05
 
 
-def test_heights_that_nothing_tells_are_left_open_as_gama_does(tmp_path: Path) -> None:
+def test_undetermined_heights_are_reported_as_in_gama(tmp_path: Path) -> None:
     inside = LEVELLED.inside.partition("<height-differences>")[0]
     for part in [p for p in inside.split("<") if p.startswith(("z-angle", "s-distance"))]:
         inside = inside.replace("<" + part, "")
     printed = "C x 190.60010 0.7 y 311.39988 0.9; E x 146.19983 0.6 y 262.69942 0.4"
     network = Printed("en", inside, printed, 5.5055639, 8)
-    found = adjust(read(network.write(tmp_path / "network.gkf")))
-    ours, theirs = network.beside(found)
-    assert found.dof == network.dof
-    assert found.chi2 == pytest.approx(network.pvv, rel=1e-5)
+    adjustment = adjust(read(network.write(tmp_path / "network.gkf")))
+    ours, theirs = network.compared(adjustment)
+    assert adjustment.dof == network.dof
+    assert adjustment.chi2 == pytest.approx(network.pvv, rel=1e-5)
     assert np.abs(ours - theirs)[:, 0].max() < PRINTED
     assert np.abs(ours - theirs)[:, 1].max() < 0.051
-    assert found.is_height_undetermined_target.all()
-    assert np.isnan(found.pose_covariance[:, 2, 2]).all()
-    assert all(abs(test.error[2]) == 0.0 for test in found.reference_tests if test.kind == "mark")
+    assert adjustment.is_height_undetermined_target.all()
+    assert np.isnan(adjustment.pose_covariance[:, 2, 2]).all()
+    assert all(abs(test.error[2]) == 0.0 for test in adjustment.reference_tests if test.kind == "mark")
 
 
 def test_the_frame_names_what_holds_it(tmp_path: Path) -> None:
@@ -317,13 +317,13 @@ def test_the_frame_names_what_holds_it(tmp_path: Path) -> None:
 
 
 def test_differences_are_a_source_of_uncertainty(tmp_path: Path) -> None:
-    found = adjust(read(LEVELLED.write(tmp_path / "network.gkf")))
+    adjustment = adjust(read(LEVELLED.write(tmp_path / "network.gkf")))
     sources = observation_uncertainty_sources(
-        found, displacement_per_observation(found, found.problem.unknowns.target_columns.ravel())
+        adjustment, displacement_per_observation(adjustment, adjustment.problem.unknowns.target_columns.ravel())
     )
     assert "known differences" in {source.name for source in sources}
     spread = sum(source.covariance for source in sources)
-    np.testing.assert_allclose(np.diag(spread), found.target_covariances[:, range(3), range(3)].ravel(), rtol=1e-6)
+    np.testing.assert_allclose(np.diag(spread), adjustment.target_covariances[:, range(3), range(3)].ravel(), rtol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -385,7 +385,7 @@ def test_a_set_up_states_differences_once_and_between_two_marks(tmp_path: Path) 
             read(tmp_path / "native")
 
 
-def test_triangles_between_known_points_are_put_together_by_their_shapes(tmp_path: Path) -> None:
+def test_triangles_between_reference_points_are_assembled_by_their_shapes(tmp_path: Path) -> None:
     """No set-up sees two known points, and there is no distance."""
     places = {"A": (0, 0), "C": (100, 20), "E": (-10, 95), "Z": (150, 130)}
     points = '<point id="A" x="0" y="0" fix="xy"/><point id="Z" x="150" y="130" fix="xy"/>'
@@ -402,19 +402,19 @@ def test_triangles_between_known_points_are_put_together_by_their_shapes(tmp_pat
 
     whole, fewest = "A C E, Z E C, C E A, C Z E, E A C, E C Z", "A C E, Z E C, C E A, C Z E"
     for angles, dof in ((whole, 2), (fewest, 0)):
-        near, found = adjusted(points + rough, angles), adjusted(points + unknown, angles)
-        assert near.solution.has_converged and found.solution.has_converged
-        assert near.dof == found.dof == dof
+        near, estimate = adjusted(points + rough, angles), adjusted(points + unknown, angles)
+        assert near.solution.has_converged and estimate.solution.has_converged
+        assert near.dof == estimate.dof == dof
         for name, (x, y) in places.items():
-            for one in (near, found):
-                assert one.state.target_points[one.recording.targets.index(name), :2] == pytest.approx(
+            for candidate in (near, estimate):
+                assert candidate.state.target_points[candidate.recording.targets.index(name), :2] == pytest.approx(
                     (x, -y), abs=2e-3
                 )
     with pytest.raises(NetworkError, match="or approximate coordinates of all"):
         adjusted(points + unknown, "A C E, Z E C, C E A")
 
 
-def test_set_ups_over_one_mark_have_no_floor_plan_to_doubt(tmp_path: Path) -> None:
+def test_set_ups_over_a_common_mark_have_no_floor_plan_to_test(tmp_path: Path) -> None:
     places = {"A": (0, 0), "B": (120, 10), "C": (40, 130), "P": (50, 40)}
     inside = "".join(f'<point id="{n}" x="{x}" y="{y}" fix="xy"/>' for n, (x, y) in places.items() if n != "P")
     inside += '<point id="P" x="50" y="40" adj="xy"/>'
@@ -427,37 +427,43 @@ def test_set_ups_over_one_mark_have_no_floor_plan_to_doubt(tmp_path: Path) -> No
     assert judged.sentence.startswith(("Trust the declared noise", "Noise and model agree"))
 
 
-def test_of_noise_and_a_shift_below_the_threshold_the_likelier_is_told(tmp_path: Path) -> None:
+def test_of_noise_and_a_shift_below_the_threshold_the_likelier_is_reported(tmp_path: Path) -> None:
     """Readings far less noisy than stated, but few: nothing shifts them."""
-    wider = re.sub(r'stdev="([0-9.]+)"', lambda found: f'stdev="{8 * float(found[1]):g}"', SHARED.inside)
-    told = diagnose(read(Printed(SHARED.axes, wider, "", 0.0, 0).write(tmp_path / "network.gkf")))
-    (level,) = told.findings
+    wider = re.sub(r'stdev="([0-9.]+)"', lambda match: f'stdev="{8 * float(match[1]):g}"', SHARED.inside)
+    diagnosis = diagnose(read(Printed(SHARED.axes, wider, "", 0.0, 0).write(tmp_path / "network.gkf")))
+    (level,) = diagnosis.findings
     assert level.effect == "noise-level"
-    assert [one.name for one in level.parameters] == ["noise-distance", "noise-azimuth"]  # nobody read an elevation
+    assert [parameter.name for parameter in level.parameters] == [
+        "noise-distance",
+        "noise-azimuth",
+    ]  # nobody read an elevation
 
 
 def test_what_is_constant_in_a_plan_drives_no_law(tmp_path: Path) -> None:
     """Elevations of a plan differ by 1e-31: a smooth function of them was a random one."""
-    found = adjust(read(DIRECTIONS.write(tmp_path / "network.gkf")))
+    adjustment = adjust(read(DIRECTIONS.write(tmp_path / "network.gkf")))
     names = {
-        name for drivers in candidate_regressors(found.sightings).values() for one in drivers for name in one.covariates
+        name
+        for drivers in candidate_regressors(adjustment.sightings).values()
+        for driver in drivers
+        for name in driver.covariates
     }
     assert {"azimuth", "distance"} <= names
     assert not {name for name in names if "elevation" in name or "height" in name}
 
 
-def test_of_constants_that_a_plan_does_not_tell_apart_one_is_told(
+def test_of_constants_that_a_plan_does_not_distinguish_a_single_constant_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """There an offset of the transit axis is the range zero over again: the two together had no deviation at all."""
-    found = adjust(read(BACK.write(tmp_path / "network.gkf")), misalignment_construction())
-    names = found.construction.parameter_names
+    adjustment = adjust(read(BACK.write(tmp_path / "network.gkf")), misalignment_construction())
+    names = adjustment.construction.parameter_names
     both = {names.index("transit-offset"): 4.0, names.index("range-offset"): 3.0}
     logs = {k: np.where(np.arange(len(names)) == k, size, -9.0) for k, size in both.items()}
     monkeypatch.setattr(instruments, "forward_select", lambda evidence, least: logs)
-    (told,) = instruments.find_contradicting_instrument_constants(found).contradictions
-    assert told.parameter.name == "transit-offset"
-    assert np.isfinite(told.sigma)
+    (contradiction,) = instruments.find_contradicting_instrument_constants(adjustment).contradictions
+    assert contradiction.parameter.name == "transit-offset"
+    assert np.isfinite(contradiction.sigma)
 
 
 def test_of_a_bad_angle_and_a_mark_that_explain_the_same_the_angle_goes(tmp_path: Path) -> None:
@@ -474,8 +480,8 @@ def test_of_a_bad_angle_and_a_mark_that_explain_the_same_the_angle_goes(tmp_path
         turn += 6.5e-4 * rng.normal() + 0.019 * (at + back + on == "DAB")
         inside += f'<obs from="{at}"><angle bs="{back}" fs="{on}" val="{turn % 400:.5f}" stdev="6.5"/></obs>'
     recording = read(Printed("en", inside, "", 0.0, 0).write(tmp_path / "network.gkf"))
-    found = adjust(recording, robust=True)
-    assert not adjust(recording).rejected_references and not found.rejected_references
-    rows, columns = np.nonzero(found.is_rejected_reading)
+    adjustment = adjust(recording, robust=True)
+    assert not adjust(recording).rejected_references and not adjustment.rejected_references
+    rows, columns = np.nonzero(adjustment.is_rejected_reading)
     assert {recording.stations[s] for s in recording.station[rows]} == {"D"}
     assert set(columns.tolist()) == {1}

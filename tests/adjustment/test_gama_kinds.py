@@ -89,7 +89,7 @@ class Network:
 
     def write(self, path: Path) -> Path:
         """The file of gama-local."""
-        points = [f'<point id="{name}" {said}/>' for name, said in self.points.items()]
+        points = [f'<point id="{name}" {description}/>' for name, description in self.points.items()]
         for start in dict.fromkeys(s.start for s in self.observed):
             points.append(f'<obs from="{start}">')
             for s in (s for s in self.observed if s.start == start):
@@ -111,8 +111,10 @@ class Network:
         unknown = [(word[:-1], "xyz".index(word[-1])) for word in self.unknown.split()]
         sigma, unit = np.array([KINDS[s.kind] for s in self.observed]).T
         value = np.array([s.value for s in self.observed]) * unit
-        own = np.array([[s.kind == "direction" and s.start == one for one in self.sets] for s in self.observed])
-        own = own.reshape(len(value), -1) / sigma[:, None]
+        is_of_set = np.array(
+            [[s.kind == "direction" and s.start == group for group in self.sets] for s in self.observed]
+        )
+        is_of_set = is_of_set.reshape(len(value), -1) / sigma[:, None]
 
         def residual(x: np.ndarray) -> np.ndarray:
             """With the orientation of each set at its mean."""
@@ -120,10 +122,10 @@ class Network:
             for (name, axis), number in zip(unknown, x, strict=True):
                 places[name][axis] = number
             gap = value - np.array([s.of(places) for s in self.observed])
-            for one in (own > 0).T:
-                gap[one] -= np.angle(np.exp(1j * gap[one]).sum())
+            for member in (is_of_set > 0).T:
+                gap[member] -= np.angle(np.exp(1j * gap[member]).sum())
             gap = np.where(unit == GON, (gap + np.pi) % (2 * np.pi) - np.pi, gap) / sigma
-            return np.asarray(gap - own @ np.linalg.lstsq(own, gap, rcond=None)[0])
+            return np.asarray(gap - is_of_set @ np.linalg.lstsq(is_of_set, gap, rcond=None)[0])
 
         x = np.array([PLACES[name][axis] for name, axis in unknown])
         for _ in range(8):
@@ -132,13 +134,14 @@ class Network:
             x = x + np.linalg.lstsq(design, residual(x), rcond=1e-8)[0]
         rank, rest = np.linalg.matrix_rank(design, tol=1e-8 * np.linalg.norm(design, 2)), residual(x)
         spread = np.sqrt(np.diag(np.linalg.pinv(design.T @ design, rcond=1e-12)))
-        return x, spread, float(rest @ rest), len(value) - int(rank) - own.shape[1]
+        return x, spread, float(rest @ rest), len(value) - int(rank) - is_of_set.shape[1]
 
 
-def placed(names: str, said: str) -> dict[str, str]:
+def placed(names: str, attributes: str) -> dict[str, str]:
     """Points with their coordinates in the file."""
     return {
-        n: " ".join(f'{a}="{v}"' for a, v in zip("xyz", PLACES[n], strict=True)) + f" {said}" for n in names.split()
+        n: " ".join(f'{a}="{v}"' for a, v in zip("xyz", PLACES[n], strict=True)) + f" {attributes}"
+        for n in names.split()
     }
 
 
@@ -208,34 +211,36 @@ def test_a_network_agrees_with_plain_numpy_beyond_the_digit_that_gama_prints(
 ) -> None:
     network = NETWORKS[kind].measured(seed)
     x, spread, square_sum, dof = network.solve()
-    found = adjust(read(network.write(tmp_path / "network.gkf")))
-    names = found.recording.targets
+    adjustment = adjust(read(network.write(tmp_path / "network.gkf")))
+    names = adjustment.recording.targets
     at = [(names.index(word[:-1]), "xyz".index(word[-1])) for word in network.unknown.split()]
-    assert found.dof == dof
-    assert found.chi2 == pytest.approx(square_sum, rel=1e-6)
-    ours, sigma = found.state.target_points, np.sqrt(found.target_covariances[:, range(3), range(3)])
+    assert adjustment.dof == dof
+    assert adjustment.chi2 == pytest.approx(square_sum, rel=1e-6)
+    ours, sigma = adjustment.state.target_points, np.sqrt(adjustment.target_covariances[:, range(3), range(3)])
     assert np.abs([ours[i] for i in at] - x).max() < PRINTED / 5
     np.testing.assert_allclose([sigma[i] for i in at], spread, rtol=1e-3)
-    told = {word[:-1] for word in network.unknown.split() if word[-1] == "z"}
-    open_ = {names[t] for t in np.flatnonzero(found.is_height_undetermined_target)}
-    fixed = {name for name, said in network.points.items() if "adj" not in said or 'fix="z"' in said}
-    assert set(network.points) - fixed - open_ == told
+    height_names = {word[:-1] for word in network.unknown.split() if word[-1] == "z"}
+    open_ = {names[t] for t in np.flatnonzero(adjustment.is_height_undetermined_target)}
+    fixed = {
+        name for name, description in network.points.items() if "adj" not in description or 'fix="z"' in description
+    }
+    assert set(network.points) - fixed - open_ == height_names
 
 
-def test_a_point_with_a_distance_alone_is_left_out_and_a_turn_that_nothing_holds_has_no_bend(
+def test_a_point_with_only_a_distance_is_excluded_and_an_undetermined_rotation_has_no_curvature(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As where azimuths are left out: neither a search without end nor an eigenvector of what is unknown."""
     points = placed("A", 'fix="xy"') | dict.fromkeys("BCDEF", 'adj="xy"')
     network = Network(points, [*PLAN, *sights("distance", "AF")], "Bx By Cx Cy Dx Dy Ex Ey").measured(0)
-    found = adjust(read(network.write(tmp_path / "network.gkf")))
-    assert found.solution.has_converged
-    assert found.undetermined_targets == ("F",)
-    assert found.dof == network.solve()[3] - 1
-    spread = found.pose_covariance.copy()
+    adjustment = adjust(read(network.write(tmp_path / "network.gkf")))
+    assert adjustment.solution.has_converged
+    assert adjustment.undetermined_targets == ("F",)
+    assert adjustment.dof == network.solve()[3] - 1
+    spread = adjustment.pose_covariance.copy()
     spread[1, :3, 3:], spread[1, 5, 5] = np.nan, 1.0
-    monkeypatch.setattr(type(found), "pose_covariance", spread)
-    assert np.array_equal(np.isnan(pose_curvatures(found)), np.isnan(spread).any(axis=(1, 2)))
+    monkeypatch.setattr(type(adjustment), "pose_covariance", spread)
+    assert np.array_equal(np.isnan(pose_curvatures(adjustment)), np.isnan(spread).any(axis=(1, 2)))
 
 
 def test_a_network_of_directions_alone_has_no_scale(tmp_path: Path) -> None:
@@ -259,8 +264,8 @@ def test_a_far_point_is_fixed_by_angles_alone(tmp_path: Path, monkeypatch: pytes
         monkeypatch.setitem(PLACES, name, [40.0 * x for x in place])
     sights = [Sight("angle", at, "E", back) for back, at in ("BA", "AB", "DB", "BD")]
     network = Network(placed("A B D", 'fix="xy"') | {"E": 'adj="xy"'}, sights, "Ex Ey").measured(0)
-    found, (x, _, square_sum, dof) = adjust(read(network.write(tmp_path / "network.gkf"))), network.solve()
-    assert not found.undetermined_targets
-    assert found.dof == dof == 2
-    assert found.chi2 == pytest.approx(square_sum, rel=1e-6)
-    assert np.abs(found.state.target_points[found.recording.targets.index("E"), :2] - x).max() < PRINTED
+    adjustment, (x, _, square_sum, dof) = adjust(read(network.write(tmp_path / "network.gkf"))), network.solve()
+    assert not adjustment.undetermined_targets
+    assert adjustment.dof == dof == 2
+    assert adjustment.chi2 == pytest.approx(square_sum, rel=1e-6)
+    assert np.abs(adjustment.state.target_points[adjustment.recording.targets.index("E"), :2] - x).max() < PRINTED

@@ -31,17 +31,17 @@ def row_of(recording: Recording, station: str, target: str) -> int:
 
 
 @pytest.mark.parametrize("slip", ["metre", "gon", "clockwise", "zenith"])
-def test_a_station_in_another_unit_is_mended_to_the_last_micrometre(slip: str) -> None:
+def test_a_station_in_another_unit_is_corrected_to_the_last_micrometre(slip: str) -> None:
     recording, _ = network(seed=4)
     rows = np.flatnonzero(recording.station == 2)
-    mended, (finding,) = correct_units(written(recording, rows, SLIPS[slip]))
-    np.testing.assert_allclose(mended.readings, recording.readings, rtol=0, atol=1e-12)
+    corrected, (finding,) = correct_units(written(recording, rows, SLIPS[slip]))
+    np.testing.assert_allclose(corrected.readings, recording.readings, rtol=0, atol=1e-12)
     assert (finding.effect_name, finding.stations) == ("wrong-unit", (recording.stations[2],))
     assert finding.pointing_indices.tolist() == rows.tolist()
     assert finding.sentence == f"Station {recording.stations[2]} was recorded with {SLIPS[slip].description}."
 
 
-def test_stations_of_one_shape_are_left_as_they_are() -> None:
+def test_stations_of_equal_shape_are_not_changed() -> None:
     recording, _ = network(seed=4)
     same, findings = correct_units(recording)
     assert same is recording
@@ -55,14 +55,14 @@ def test_faces_follow_the_raw_elevation() -> None:
     stored = recording.face.copy()
     rows = np.flatnonzero((recording.station == 1) & (recording.face == 2))[:3]
     stored[rows] = 1
-    mended, (finding,) = correct_faces(recording.replace(face=stored))
-    assert mended.face.tolist() == recording.face.tolist()
+    corrected, (finding,) = correct_faces(recording.replace(face=stored))
+    assert corrected.face.tolist() == recording.face.tolist()
     assert (finding.effect_name, finding.pointing_indices.tolist()) == ("face-confusion", rows.tolist())
     assert correct_faces(recording) == (recording, [])
 
 
 @pytest.mark.long
-def test_every_mistake_of_one_recording_is_explained_and_mended() -> None:
+def test_every_mistake_of_a_recording_is_explained_and_corrected() -> None:
     recording, _ = network(seed=5)
     s = recording.stations
     first, second = row_of(recording, s[0], "T03"), row_of(recording, s[0], "T14")
@@ -71,8 +71,8 @@ def test_every_mistake_of_one_recording_is_explained_and_mended() -> None:
     unit, off = row_of(recording, s[1], "T07"), row_of(recording, s[3], "T20")
     readings[unit] = SLIPS["gon"].with_error(readings[[unit]])[0]
     readings[off, 0] += 12e-3
-    found = adjust(recording.replace(target=target, readings=readings))
-    (doubt,) = adjustment_warnings(found)
+    adjustment = adjust(recording.replace(target=target, readings=readings))
+    (doubt,) = adjustment_warnings(adjustment)
     assert "the reflectors T03 and T14" in doubt
     assert "gon for degrees" in doubt
     assert "T20" not in doubt  # an outlier alone is no mistake that anybody can name

@@ -21,33 +21,33 @@ def set_up_anew(seed: int, sigma_mm: float = 1.0) -> tuple[Recording, np.ndarray
     stations = {
         name: Station(levelled=True, levelling_sigma_arcsec=EXACT_LEVELLING_SIGMA_ARCSEC) for name in recording.stations
     }
-    told = {"stations": stations, "height_above_mark_sigma_mm": sigma_mm}
+    declared = {"stations": stations, "height_above_mark_sigma_mm": sigma_mm}
     higher = 1e-3 * sigma_mm * random_stream(seed, "heads").standard_normal((4, len(mesh())))
     change = higher[recording.station, recording.target, None] * [0.0, 0.0, 1.0]
     by_target = adjust(recording).problem.model.linearise(adjust(recording).state).target_derivatives
     readings = recording.readings + np.einsum("nij,nj->ni", by_target, change)
     labels = {"target_setup": tuple(recording.stations[s] for s in recording.station)}
-    setup = recording.setup.model_copy(update=told)
+    setup = recording.setup.model_copy(update=declared)
     return recording.replace(setup=setup, readings=readings, labels=labels), higher
 
 
 def test_heights_that_differ_by_set_up_are_estimated_and_the_network_agrees() -> None:
     recording, higher = set_up_anew(3)
-    found = adjust(recording)
+    adjustment = adjust(recording)
     blind = adjust(recording.replace(setup=recording.setup.model_copy(update={"height_above_mark_sigma_mm": None})))
-    assert found.dof == blind.dof
+    assert adjustment.dof == blind.dof
     assert blind.sigma0 > 5.0
-    assert found.sigma0 == pytest.approx(1.0, abs=0.15)
+    assert adjustment.sigma0 == pytest.approx(1.0, abs=0.15)
     pairs = list(dict.fromkeys(zip(recording.target.tolist(), recording.station.tolist(), strict=True)))
     value = np.zeros(higher.shape)
-    for (target, station), height in zip(pairs, found.state.extra_parameters, strict=True):
+    for (target, station), height in zip(pairs, adjustment.state.extra_parameters, strict=True):
         value[station, target] = height
     gap = value - higher  # what all heights of a mark share is its coordinate, what those of a station do is its own
     gap = gap - gap.mean(axis=0) - gap.mean(axis=1, keepdims=True) + gap.mean()
     assert np.sqrt(np.mean(gap**2)) < 0.1e-3
 
 
-def test_heads_are_kept_in_a_file(tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_heads_are_stored_in_a_file(tmp_path) -> None:  # type: ignore[no-untyped-def]
     recording, _ = set_up_anew(4)
     write_recording(recording, tmp_path)
     again = read_recording(tmp_path)

@@ -30,7 +30,7 @@ def levelled(recording: Recording) -> Recording:
     return with_setup(recording, stations={name: Station(levelled=True) for name in recording.stations})
 
 
-def known(recording: Recording, points: np.ndarray, which, **changes) -> Recording:
+def with_reference_points(recording: Recording, points: np.ndarray, which, **changes) -> Recording:
     targets = dict(recording.setup.targets)
     for i in which:
         name = recording.targets[i]
@@ -51,9 +51,9 @@ def distances(points: np.ndarray) -> np.ndarray:
     return np.linalg.norm(points[:, None] - points[None], axis=2)
 
 
-def assert_same_shape(found, points: np.ndarray, atol: float = EXACT) -> None:
-    assert found.solution.has_converged, found.solution.status
-    np.testing.assert_allclose(distances(found.state.target_points), distances(points), atol=atol)
+def assert_same_shape(adjustment, points: np.ndarray, atol: float = EXACT) -> None:
+    assert adjustment.solution.has_converged, adjustment.solution.status
+    np.testing.assert_allclose(distances(adjustment.state.target_points), distances(points), atol=atol)
 
 
 # --- readings that are missing ------------------------------------------------------------------------------------
@@ -61,20 +61,20 @@ def assert_same_shape(found, points: np.ndarray, atol: float = EXACT) -> None:
 
 def test_targets_without_any_range_are_intersected():
     recording, truth = network(faces=2)
-    found = adjust(blanked(recording, np.isin(recording.target, [3, 17, 20]), [0]))
-    assert not found.is_gross_pointing.any()
-    assert_same_shape(found, truth.state.target_points)
+    adjustment = adjust(blanked(recording, np.isin(recording.target, [3, 17, 20]), [0]))
+    assert not adjustment.is_gross_pointing.any()
+    assert_same_shape(adjustment, truth.state.target_points)
 
 
-def test_a_station_without_ranges_is_resected_and_one_without_angles_too():
+def test_stations_without_ranges_or_without_angles_are_resected():
     recording, truth = network()
     recording = blanked(recording, recording.station == 1, [0])
     recording = blanked(recording, recording.station == 3, [1, 2])
-    found = adjust(recording)
-    assert_same_shape(found, truth.state.target_points)
+    adjustment = adjust(recording)
+    assert_same_shape(adjustment, truth.state.target_points)
     # Three turns of the station that reads ranges alone are no unknowns.
-    assert found.dof == found.problem.is_used_reading.sum() + 6 - (6 * 5 + 3 * 28 - 6 - 3)
-    there = np.linalg.norm(found.state.station_positions[3] - found.state.station_positions[0])
+    assert adjustment.dof == adjustment.problem.is_used_reading.sum() + 6 - (6 * 5 + 3 * 28 - 6 - 3)
+    there = np.linalg.norm(adjustment.state.station_positions[3] - adjustment.state.station_positions[0])
     assert there == pytest.approx(
         np.linalg.norm(truth.state.station_positions[3] - truth.state.station_positions[0]), abs=EXACT
     )
@@ -84,35 +84,37 @@ def test_azimuths_alone_and_elevations_alone_add_to_the_others():
     recording, truth = network()
     recording = blanked(levelled(recording), recording.station == 2, [0, 2])
     recording = blanked(recording, recording.station == 4, [1])
-    found = adjust(recording)
-    assert_same_shape(found, truth.state.target_points)
+    adjustment = adjust(recording)
+    assert_same_shape(adjustment, truth.state.target_points)
     # The height of the one and the yaw of the other are no unknowns.
-    assert found.dof == found.problem.is_used_reading.sum() + 6 + 10 - (6 * 5 + 3 * 28 - 4 - 2)
+    assert adjustment.dof == adjustment.problem.is_used_reading.sum() + 6 + 10 - (6 * 5 + 3 * 28 - 4 - 2)
 
 
-def test_beams_alone_take_scale_and_frame_from_known_points():
+def test_beams_alone_take_scale_and_frame_from_reference_points():
     recording, truth = network()
     recording = with_setup(blanked(recording, np.full(len(recording), True), [0]), gauge=None)
-    found = adjust(known(recording, truth.state.target_points, [0, 9, 14, 22]))
-    assert found.problem.free_motions.shape[1] == 0
-    np.testing.assert_allclose(found.state.target_points, truth.state.target_points, atol=1e-7)
+    adjustment = adjust(with_reference_points(recording, truth.state.target_points, [0, 9, 14, 22]))
+    assert adjustment.problem.free_motions.shape[1] == 0
+    np.testing.assert_allclose(adjustment.state.target_points, truth.state.target_points, atol=1e-7)
     with pytest.raises(NetworkError, match="if ranges or angles are missing"):
         adjust(recording)
 
 
 def test_ranges_alone_are_multilaterated():
     recording, truth = network()
-    found = adjust(blanked(recording, np.full(len(recording), True), [1, 2]))
-    assert_same_shape(found, truth.state.target_points, atol=1e-6)
-    assert found.dof == 140 + 6 - (3 * 5 + 3 * 28 - 6)
+    adjustment = adjust(blanked(recording, np.full(len(recording), True), [1, 2]))
+    assert_same_shape(adjustment, truth.state.target_points, atol=1e-6)
+    assert adjustment.dof == 140 + 6 - (3 * 5 + 3 * 28 - 6)
 
 
 def test_the_algebraic_beginning_is_exact():
     rng = random_stream(4, "points")
     points, stations = rng.uniform(-3, 3, (12, 3)), rng.uniform(-3, 3, (5, 3))
-    found = multilaterate(np.linalg.norm(stations[:, None] - points[None], axis=2))
-    assert found is not None
-    np.testing.assert_allclose(distances(np.vstack(found)), distances(np.vstack([stations, points])), atol=1e-8)
+    multilateration = multilaterate(np.linalg.norm(stations[:, None] - points[None], axis=2))
+    assert multilateration is not None
+    np.testing.assert_allclose(
+        distances(np.vstack(multilateration)), distances(np.vstack([stations, points])), atol=1e-8
+    )
 
 
 def test_what_no_reading_ties_is_named():
@@ -128,39 +130,39 @@ def test_what_no_reading_ties_is_named():
 
 @pytest.mark.parametrize("robust", [False, True])
 @pytest.mark.parametrize("target", [5, 25])
-def test_a_target_that_loses_its_azimuths_is_left_out_and_the_rest_adjusted(robust, target):
+def test_a_target_that_loses_its_azimuths_is_excluded_and_the_rest_adjusted(robust, target):
     recording, _ = network(seed=3, stations=3)
     here = recording.target == target
     lonely = blanked(recording, here & (recording.station == 2), [0, 1, 2])
     lonely = blanked(lonely, here & (recording.station < 2), [1, 2] if robust else [1])
     lonely = blanked(lonely, here & (recording.station == 1), [0])
     lonely = lonely.select(lonely.is_measured.any(axis=1))
-    found = adjust(lonely, misalignment_construction(), robust=robust)
+    adjustment = adjust(lonely, misalignment_construction(), robust=robust)
     name = f"T{target + 1:02d}"
-    assert found.undetermined_targets == (name,)
-    found.solution.require_success()
+    assert adjustment.undetermined_targets == (name,)
+    adjustment.solution.require_success()
     without = with_setup(recording.select(~here), gauge=gauge_without(recording, name))
     rest = adjust(without, misalignment_construction(), robust=robust)
-    assert found.dof == rest.dof
-    assert found.chi2 == pytest.approx(rest.chi2, rel=1e-9)
-    others = [i for i, n in enumerate(found.recording.targets) if n != name]
-    np.testing.assert_allclose(found.state.target_points[others], rest.state.target_points, atol=1e-10)
-    np.testing.assert_allclose(found.target_covariances[others], rest.target_covariances, rtol=1e-5, atol=1e-16)
-    assert np.isnan(found.target_covariances[found.recording.targets.index(name)]).all()
+    assert adjustment.dof == rest.dof
+    assert adjustment.chi2 == pytest.approx(rest.chi2, rel=1e-9)
+    others = [i for i, n in enumerate(adjustment.recording.targets) if n != name]
+    np.testing.assert_allclose(adjustment.state.target_points[others], rest.state.target_points, atol=1e-10)
+    np.testing.assert_allclose(adjustment.target_covariances[others], rest.target_covariances, rtol=1e-5, atol=1e-16)
+    assert np.isnan(adjustment.target_covariances[adjustment.recording.targets.index(name)]).all()
 
 
-def test_a_target_left_open_by_readings_out_of_use_is_left_out():
+def test_a_target_undetermined_without_rejected_readings_is_excluded():
     """Two stations see T06; one reading of each is not used: a range and an elevation leave a circle."""
     recording, _ = network(seed=3)
     recording = recording.select((recording.target != 5) | (recording.station < 2))
     use = np.ones(recording.readings.shape, dtype=bool)
     rows = np.flatnonzero(recording.target == 5)
     use[rows] = [[True, False, True], [False, False, False]]
-    found = adjust(recording, misalignment_construction(), reading_mask=use)
-    assert found.undetermined_targets == ("T06",)
-    assert found.is_rejected_reading[rows].all()
+    adjustment = adjust(recording, misalignment_construction(), reading_mask=use)
+    assert adjustment.undetermined_targets == ("T06",)
+    assert adjustment.is_rejected_reading[rows].all()
     rest = adjust(recording.select(recording.target != 5), misalignment_construction())
-    assert found.chi2 == pytest.approx(rest.chi2, rel=1e-9)
+    assert adjustment.chi2 == pytest.approx(rest.chi2, rel=1e-9)
     use[rows[1], 1] = True
     assert adjust(recording, misalignment_construction(), reading_mask=use).undetermined_targets == ()
 
@@ -173,12 +175,12 @@ def test_a_target_whose_readings_contradict_each_other_leaves_a_robust_adjustmen
     readings = recording.readings.copy()
     readings[rows, 1] += [4e-4, -3e-4]
     readings[rows[1], [0, 2]] = np.nan
-    found = adjust(recording.with_readings(readings), misalignment_construction(), robust=True)
-    found.solution.require_success()
-    assert found.undetermined_targets == ("T06",)
-    assert found.is_rejected_reading.sum() == 4
+    adjustment = adjust(recording.with_readings(readings), misalignment_construction(), robust=True)
+    adjustment.solution.require_success()
+    assert adjustment.undetermined_targets == ("T06",)
+    assert adjustment.is_rejected_reading.sum() == 4
     rest = adjust(recording.select(recording.target != 5), misalignment_construction())
-    assert found.chi2 == pytest.approx(rest.chi2, rel=1e-9)
+    assert adjustment.chi2 == pytest.approx(rest.chi2, rel=1e-9)
 
 
 def test_a_target_that_two_ranges_place_leaves_a_robust_adjustment_where_they_contradict_each_other():
@@ -190,22 +192,22 @@ def test_a_target_that_two_ranges_place_leaves_a_robust_adjustment_where_they_co
         dataclasses.replace(truth.state, station_positions=places)
     )
     readings += recording.reading_sigmas() * random_stream(5, "noise").standard_normal(readings.shape)
-    kept = (recording.target != 5) | (recording.station < 2)
-    recording = recording.with_readings(readings).select(kept)
+    selection = (recording.target != 5) | (recording.station < 2)
+    recording = recording.with_readings(readings).select(selection)
     rows = np.flatnonzero(recording.target == 5)
     readings = recording.readings.copy()
     readings[rows, 0] += [5e-5, -5e-5]
-    found = adjust(recording.with_readings(readings), robust=True)
-    assert found.undetermined_targets == ("T06",)
-    assert set(np.argwhere(found.is_rejected_reading)[:, 0]) == set(rows)
-    assert np.abs(found.residuals[rows, 0]).max() < 2e-4
+    adjustment = adjust(recording.with_readings(readings), robust=True)
+    assert adjustment.undetermined_targets == ("T06",)
+    assert set(np.argwhere(adjustment.is_rejected_reading)[:, 0]) == set(rows)
+    assert np.abs(adjustment.residuals[rows, 0]).max() < 2e-4
     assert not adjust(recording, robust=True).is_rejected_reading.any()
 
 
 def gauge_without(recording, name):
     gauge = recording.gauge
-    kept = tuple(d for d in gauge.distance if name not in (d.from_, d.to))
-    return gauge.model_copy(update={"distance": kept})
+    distances = tuple(d for d in gauge.distance if name not in (d.from_, d.to))
+    return gauge.model_copy(update={"distance": distances})
 
 
 # --- what is known beforehand -------------------------------------------------------------------------------------
@@ -232,37 +234,39 @@ def test_levels_that_follow_a_curved_surface():
         )
     )
     stations = {n: Station(levelled=True, vertical=tuple(v)) for n, v in zip(recording.stations, lines, strict=True)}
-    found = adjust(with_setup(recording, stations=stations))
-    assert found.problem.free_motions.shape[1] == 4
-    assert found.chi2 < 1e-3
+    adjustment = adjust(with_setup(recording, stations=stations))
+    assert adjustment.problem.free_motions.shape[1] == 4
+    assert adjustment.chi2 < 1e-3
     assert adjust(levelled(recording)).chi2 > 1e4
 
 
-def test_known_points_define_the_frame_along_the_axes_that_are_known():
+def test_reference_points_define_the_frame_along_their_reference_axes():
     recording, truth = network(seed=8)
-    made = known(levelled(recording), truth.state.target_points, [0])
-    made = known(made, truth.state.target_points, [5], known_axes="y")
-    made = known(made, truth.state.target_points, [7, 12], known_axes="z")
-    found = adjust(made, misalignment_construction())
-    assert found.problem.control_rows.n_coordinates == 6
-    assert found.problem.free_motions.shape[1] == 0
-    assert np.abs(found.state.target_points - truth.state.target_points).max() < 3e-4
-    np.testing.assert_allclose(found.state.target_points[[7, 12], 2], truth.state.target_points[[7, 12], 2], atol=3e-5)
+    made = with_reference_points(levelled(recording), truth.state.target_points, [0])
+    made = with_reference_points(made, truth.state.target_points, [5], known_axes="y")
+    made = with_reference_points(made, truth.state.target_points, [7, 12], known_axes="z")
+    adjustment = adjust(made, misalignment_construction())
+    assert adjustment.problem.control_rows.n_coordinates == 6
+    assert adjustment.problem.free_motions.shape[1] == 0
+    assert np.abs(adjustment.state.target_points - truth.state.target_points).max() < 3e-4
+    np.testing.assert_allclose(
+        adjustment.state.target_points[[7, 12], 2], truth.state.target_points[[7, 12], 2], atol=3e-5
+    )
 
 
-def test_one_known_point_and_levels_leave_the_yaw_to_the_datum():
+def test_a_single_reference_point_and_levels_leave_the_yaw_to_the_datum():
     recording, truth = network(seed=8)
-    made = known(levelled(recording), truth.state.target_points, [0])
+    made = with_reference_points(levelled(recording), truth.state.target_points, [0])
     targets = dict(made.setup.targets)
     place = tuple(1e3 * truth.state.target_points[12])
     name = made.targets[12]
     targets[name] = targets[name].model_copy(update={"approximate_mm": place, "datum": True})
-    found = adjust(with_setup(made, targets=targets), misalignment_construction())
-    assert found.problem.free_motions.shape[1] == 1
-    assert np.abs(found.state.target_points - truth.state.target_points).max() < 1e-3
+    adjustment = adjust(with_setup(made, targets=targets), misalignment_construction())
+    assert adjustment.problem.free_motions.shape[1] == 1
+    assert np.abs(adjustment.state.target_points - truth.state.target_points).max() < 1e-3
     arm, gap = (
         truth.state.target_points[12] - truth.state.target_points[0],
-        found.state.target_points[12] - truth.state.target_points[12],
+        adjustment.state.target_points[12] - truth.state.target_points[12],
     )
     assert abs(arm[0] * gap[1] - arm[1] * gap[0]) < 1e-9
 
@@ -291,7 +295,7 @@ def total_stations(seed: int | None = None) -> tuple[Recording, np.ndarray]:
             arm = marks[t] + target[t] * up - marks[mark] - instrument[s] * up
             readings.append(to_polar((rotation_about_z(yaw[s]).T @ arm)[None])[0])
             rows.append((s, t))
-    station, seen = np.array(rows, dtype=np.int64).T
+    station, indices = np.array(rows, dtype=np.int64).T
     setup = Setup(
         instrument=Instrument(noise=Noise(distance_mm=1.0, azimuth_arcsec=1.0, elevation_arcsec=1.0)),
         stations={
@@ -305,7 +309,7 @@ def total_stations(seed: int | None = None) -> tuple[Recording, np.ndarray]:
         tuple(stations),
         tuple(names),
         station,
-        seen,
+        indices,
         np.ones_like(station),
         np.ones_like(station),
         np.arange(len(station), dtype=np.float64),
@@ -319,24 +323,24 @@ def total_stations(seed: int | None = None) -> tuple[Recording, np.ndarray]:
 
 def test_instruments_on_marks_share_the_place_of_the_target():
     recording, marks = total_stations()
-    found = adjust(recording)
-    assert_same_shape(found, marks)
-    assert found.problem.unknowns.n_columns == 3 * 9 + 3 * 7
-    assert found.dof == 3 * len(recording) + 2 * 7 - 3 * 9 - 3 * 7 + 4
+    adjustment = adjust(recording)
+    assert_same_shape(adjustment, marks)
+    assert adjustment.problem.unknowns.n_columns == 3 * 9 + 3 * 7
+    assert adjustment.dof == 3 * len(recording) + 2 * 7 - 3 * 9 - 3 * 7 + 4
     height = 1e-3 * recording.station_setup("M0").instrument_height_mm
     np.testing.assert_allclose(
-        found.state.station_positions[0] - found.state.target_points[0], [0, 0, height], atol=1e-12
+        adjustment.state.station_positions[0] - adjustment.state.target_points[0], [0, 0, height], atol=1e-12
     )
-    np.testing.assert_array_equal(found.state.station_positions[0][:2], found.state.station_positions[6][:2])
+    np.testing.assert_array_equal(adjustment.state.station_positions[0][:2], adjustment.state.station_positions[6][:2])
 
 
 def test_a_start_off_the_marks_is_put_onto_them():
     recording, _ = total_stations(3)
-    found = adjust(recording)
-    off = dataclasses.replace(found.state, station_positions=found.state.station_positions + 0.3)
+    adjustment = adjust(recording)
+    off = dataclasses.replace(adjustment.state, station_positions=adjustment.state.station_positions + 0.3)
     again = adjust(recording, start_state=off)
-    np.testing.assert_allclose(again.state.station_positions, found.state.station_positions, atol=1e-9)
-    assert again.chi2 == pytest.approx(found.chi2, abs=1e-6)
+    np.testing.assert_allclose(again.state.station_positions, adjustment.state.station_positions, atol=1e-9)
+    assert again.chi2 == pytest.approx(adjustment.chi2, abs=1e-6)
 
 
 def test_heights_of_single_pointings_and_horizontal_distances():
@@ -353,27 +357,27 @@ def test_heights_of_single_pointings_and_horizontal_distances():
     assert_same_shape(adjust(recording.with_readings(readings).replace(labels=labels)), marks)
 
 
-def test_marks_that_are_no_targets_are_shared_and_may_be_known():
+def test_marks_that_are_no_targets_are_shared_and_may_have_reference_values():
     recording, marks = total_stations()
     # The first mark is seen from nowhere; its two sets stand on a known place.
     keep = recording.select(~np.isin(recording.target, [0]))
     assert "M0" not in keep.targets
     place = Target(known_mm=tuple(1e3 * marks[0]), known_sigma_mm=0.01)
-    found = adjust(with_setup(keep, targets={**keep.setup.targets, "M0": place}))
-    assert found.problem.free_motions.shape[1] == 1
-    assert found.problem.unknowns.n_columns == 3 * 9 + 3 * 7
+    adjustment = adjust(with_setup(keep, targets={**keep.setup.targets, "M0": place}))
+    assert adjustment.problem.free_motions.shape[1] == 1
+    assert adjustment.problem.unknowns.n_columns == 3 * 9 + 3 * 7
     height = 1e-3 * recording.station_setup("M0").instrument_height_mm
-    np.testing.assert_allclose(found.state.station_positions[0], marks[0] + [0, 0, height], atol=1e-8)
-    assert_same_shape(found, marks[1:])
+    np.testing.assert_allclose(adjustment.state.station_positions[0], marks[0] + [0, 0, height], atol=1e-8)
+    assert_same_shape(adjustment, marks[1:])
 
 
-def test_known_points_may_have_a_full_covariance():
+def test_reference_points_may_have_a_full_covariance():
     """Turned with their covariances they give the same network turned; alike in all directions they are as before."""
     recording, truth = network(seed=3, stations=3)
     points, places = truth.state.target_points, [2, 9, 14, 21]
     shifted = points + 1e-3 * random_stream(3, "known").standard_normal(points.shape)
     roots = random_stream(3, "roots").uniform(0.3, 2.0, (len(points), 3, 3))
-    found = []
+    results = []
     for turn in (np.eye(3), rotation_about_z(0.7)):
         targets = {}
         for i in places:
@@ -381,16 +385,18 @@ def test_known_points_may_have_a_full_covariance():
             place = tuple(1e3 * turn @ shifted[i])
             entries = tuple(matrix[np.triu_indices(3)])
             targets[recording.targets[i]] = Target(known_mm=place, known_covariance_mm2=entries)
-        found.append(adjust(with_setup(recording, targets=targets)))
-        assert found[-1].solution.has_converged
-    assert found[1].chi2 == pytest.approx(found[0].chi2, rel=1e-9)
+        results.append(adjust(with_setup(recording, targets=targets)))
+        assert results[-1].solution.has_converged
+    assert results[1].chi2 == pytest.approx(results[0].chi2, rel=1e-9)
     np.testing.assert_allclose(
-        found[1].state.target_points, found[0].state.target_points @ rotation_about_z(0.7).T, atol=1e-9
+        results[1].state.target_points, results[0].state.target_points @ rotation_about_z(0.7).T, atol=1e-9
     )
-    gap = found[0].state.target_points[places[0]] - shifted[places[0]]
+    gap = results[0].state.target_points[places[0]] - shifted[places[0]]
     assert np.linalg.norm(gap) > 1e-4
-    by_sigma = adjust(known(recording, shifted, places, known_sigma_mm=0.5))
-    by_matrix = adjust(known(recording, shifted, places, known_covariance_mm2=(0.25, 0, 0, 0.25, 0, 0.25)))
+    by_sigma = adjust(with_reference_points(recording, shifted, places, known_sigma_mm=0.5))
+    by_matrix = adjust(
+        with_reference_points(recording, shifted, places, known_covariance_mm2=(0.25, 0, 0, 0.25, 0, 0.25))
+    )
     assert by_matrix.chi2 == pytest.approx(by_sigma.chi2, rel=1e-12)
 
 
@@ -404,17 +410,17 @@ def test_the_start_is_good_enough_with_the_noise_of_total_stations():
     for seed in range(5):
         recording, marks = total_stations(seed)
         recording = blanked(recording, random_stream(seed, "rows").uniform(size=len(recording)) < 0.5, [0])
-        found = adjust(recording)
-        assert found.solution.has_converged
-        assert found.p_value > 1e-5
-        assert not found.is_gross_pointing.any()
-        assert_same_shape(found, marks, atol=0.01)
+        adjustment = adjust(recording)
+        assert adjustment.solution.has_converged
+        assert adjustment.p_value > 1e-5
+        assert not adjustment.is_gross_pointing.any()
+        assert_same_shape(adjustment, marks, atol=0.01)
 
 
 # --- several instruments, datum -----------------------------------------------------------------------------------
 
 
-def test_each_instrument_has_its_own_parameters():
+def test_each_instrument_has_separate_parameters():
     construction = misalignment_construction()
     values = np.stack([drawn(construction, 1), drawn(construction, 2)])
     recording, truth = network(faces=2)
@@ -423,12 +429,12 @@ def test_each_instrument_has_its_own_parameters():
     state = dataclasses.replace(truth.state, instrument_parameters=values)
     recording = recording.with_readings(MeasurementModel(recording, construction).predict(state))
     noise = random_stream(3, "noise").standard_normal(recording.readings.shape)
-    found = adjust(recording.with_readings(recording.readings + recording.reading_sigmas() * noise), construction)
+    adjustment = adjust(recording.with_readings(recording.readings + recording.reading_sigmas() * noise), construction)
     for i in range(2):
-        error = found.state.instrument_parameters[i] - values[i]
-        normalised = error @ np.linalg.solve(found.instrument_covariance_of(i), error) / construction.n_parameters
+        error = adjustment.state.instrument_parameters[i] - values[i]
+        normalised = error @ np.linalg.solve(adjustment.instrument_covariance_of(i), error) / construction.n_parameters
         assert 0.3 < normalised < 2.2
-    assert found.p_value > 0.001
+    assert adjustment.p_value > 0.001
 
 
 def test_the_datum_of_chosen_points_has_the_least_trace_and_keeps_their_mean():
@@ -453,7 +459,7 @@ def test_the_datum_of_chosen_points_has_the_least_trace_and_keeps_their_mean():
     )
 
 
-def test_a_stated_datum_moves_the_network_to_its_approximate_coordinates():
+def test_a_declared_datum_moves_the_network_to_its_approximate_coordinates():
     recording, truth = network(seed=4)
     turn, shift = rotation_about_z(0.7), np.array([30.0, -10.0, 2.0])
     rough = truth.state.target_points @ turn.T + shift + 1e-3 * random_stream(1, "rough").standard_normal((28, 3))
@@ -461,12 +467,12 @@ def test_a_stated_datum_moves_the_network_to_its_approximate_coordinates():
         n: t.model_copy(update={"approximate_mm": tuple(1e3 * rough[i]), "datum": i % 2 == 0})
         for i, (n, t) in enumerate((n, recording.target_setup(n)) for n in recording.targets)
     }
-    found = adjust(with_setup(recording, targets=targets), misalignment_construction())
-    gap = found.state.target_points[::2] - rough[::2]
+    adjustment = adjust(with_setup(recording, targets=targets), misalignment_construction())
+    gap = adjustment.state.target_points[::2] - rough[::2]
     arms = rough[::2] - rough[::2].mean(axis=0)
     np.testing.assert_allclose(gap.mean(axis=0), 0, atol=1e-10)
     np.testing.assert_allclose(np.cross(arms, gap).sum(axis=0), 0, atol=1e-6)
-    assert found.datum is not None
+    assert adjustment.datum is not None
 
 
 # --- anything missing anywhere ------------------------------------------------------------------------------------
@@ -484,16 +490,16 @@ def test_any_readings_may_be_missing(kind, seed):
     if kind == "levelled":
         recording = levelled(recording)
     if kind == "known":  # In the coordinates of a country: 1e-10 m is all that is left of the digits.
-        recording = known(recording, points + 1e6, random_stream(seed, "known").permutation(28)[:4])
+        recording = with_reference_points(recording, points + 1e6, random_stream(seed, "known").permutation(28)[:4])
     lost = random_stream(seed, "lost").uniform(size=recording.readings.shape)
     share = [(0.6, 0, 0), (0.25, 0.25, 0.25), (0.9, 0, 0)][seed % 3]
     recording = recording.with_readings(np.where(lost < share, np.nan, recording.readings))
     recording = recording.select(recording.is_measured.any(axis=1))
-    found = adjust(recording)
-    assert found.p_value > 1e-5
-    assert not found.is_gross_pointing.any()
+    adjustment = adjust(recording)
+    assert adjustment.p_value > 1e-5
+    assert not adjustment.is_gross_pointing.any()
     rough = 0.02 if kind == "marks" else 1e-3
-    assert_same_shape(found, points, atol=rough)
+    assert_same_shape(adjustment, points, atol=rough)
 
 
 def test_a_network_in_plan_needs_no_elevations() -> None:
@@ -512,8 +518,8 @@ def test_a_network_in_plan_needs_no_elevations() -> None:
         targets[f"M{name}"] = Target(known_mm=(0.0, 0.0, 1e3 * float(place[2])), known_axes="z", known_sigma_mm=1e-3)
     setup = recording.setup.model_copy(update={"targets": targets, "stations": stations, "gauge": None})
     kind = {DISTANCE_KIND_COLUMN: ("horizontal",) * len(recording)}
-    found = adjust(recording.replace(readings=flat, setup=setup, labels={**recording.labels, **kind}))
-    assert found.solution.has_converged
-    assert found.sigma0 == pytest.approx(1.0, abs=0.3)
-    turn, shift = align_rigidly(found.state.target_points, points)
-    assert np.abs(found.state.target_points @ turn.T + shift - points).max() < 1e-4
+    adjustment = adjust(recording.replace(readings=flat, setup=setup, labels={**recording.labels, **kind}))
+    assert adjustment.solution.has_converged
+    assert adjustment.sigma0 == pytest.approx(1.0, abs=0.3)
+    turn, shift = align_rigidly(adjustment.state.target_points, points)
+    assert np.abs(adjustment.state.target_points @ turn.T + shift - points).max() < 1e-4

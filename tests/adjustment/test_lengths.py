@@ -41,7 +41,7 @@ def measured() -> Recording:
     return network(seed=3)[0]
 
 
-def test_a_length_grows_with_its_own_material_and_temperature(measured: Recording) -> None:
+def test_a_length_expands_with_its_material_and_temperature(measured: Recording) -> None:
     recording = with_gauge(
         measured,
         line("T01", "T02", material="steel", measured_at_c=27.0, sigma_temperature_k=0.1),
@@ -52,31 +52,33 @@ def test_a_length_grows_with_its_own_material_and_temperature(measured: Recordin
         sigma_temperature_k=0.5,
         expansion_per_k=23e-6,
     )
-    known = ReferenceLengths.from_recording(recording)
-    np.testing.assert_allclose(known.expansion_factors - 1.0, [7 * 11.5e-6, 3 * 11.5e-6, 3 * 1.2e-6, 0.0], atol=1e-15)
-    np.testing.assert_allclose(known.lengths, 2.0 * known.expansion_factors, rtol=1e-15)
+    lengths = ReferenceLengths.from_recording(recording)
+    np.testing.assert_allclose(lengths.expansion_factors - 1.0, [7 * 11.5e-6, 3 * 11.5e-6, 3 * 1.2e-6, 0.0], atol=1e-15)
+    np.testing.assert_allclose(lengths.lengths, 2.0 * lengths.expansion_factors, rtol=1e-15)
     expected = {
         "expansion of steel": [14e-6, 6e-6, 0, 0],
         "temperature of T01-T02": [2.3e-6, 0, 0, 0],
         "temperature of the gauge": [0, 11.5e-6, 1.2e-6, 0],
         "expansion of invar": [0, 0, 1.8e-6, 0],
     }
-    assert set(known.shared_error_shifts) == set(expected)
+    assert set(lengths.shared_error_shifts) == set(expected)
     for name, change in expected.items():
-        np.testing.assert_allclose(known.shared_error_shifts[name], change, atol=1e-12, err_msg=name)
+        np.testing.assert_allclose(lengths.shared_error_shifts[name], change, atol=1e-12, err_msg=name)
 
 
 def test_a_column_gives_the_temperature_while_both_ends_were_measured(measured: Recording) -> None:
     warm = np.where(np.isin(measured.target, [0, 1]), 25.0 + measured.station, np.nan)
     recording = measured.replace(covariates={**measured.covariates, "bar_c": warm})
-    stated = with_gauge(recording, line("T01", "T02", material="steel", measured_at_c="bar_c"))
-    assert ReferenceLengths.from_recording(stated).expansion_factors[0] == pytest.approx(1 + 7 * 11.5e-6, abs=1e-12)
-    for wrong, said in (
+    with_column = with_gauge(recording, line("T01", "T02", material="steel", measured_at_c="bar_c"))
+    assert ReferenceLengths.from_recording(with_column).expansion_factors[0] == pytest.approx(
+        1 + 7 * 11.5e-6, abs=1e-12
+    )
+    for wrong, message in (
         (line("T01", "T02", measured_at_c="bar_k"), "expected a column of numbers"),
         (line("T03", "T04", measured_at_c="bar_c"), "contains no temperature in the pointings to T03 and T04"),
         (line("T01", "T02", material="brass"), "expected one of steel, invar"),
     ):
-        with pytest.raises(RecordError, match=said):
+        with pytest.raises(RecordError, match=message):
             ReferenceLengths.from_recording(with_gauge(recording, wrong))
 
 
@@ -93,14 +95,14 @@ def test_the_rows_have_the_covariance_of_what_lengths_share(measured: Recording)
     white = gauge.decorrelate(np.eye(3))
     np.testing.assert_allclose(white @ covariance @ white.T, np.eye(3), atol=1e-12)
     idle = replace(gauge, is_unweighted=np.array([False, True, False]))
-    kept = np.ix_([0, 2], [0, 2])
-    left = idle.decorrelate(np.eye(3))
-    np.testing.assert_allclose((left.T @ left)[kept], np.linalg.inv(covariance[kept]), rtol=1e-12)
-    assert not left[:, 1].any()
-    found = adjust(recording)
-    rows = to_dense(found.solution.system.design)[int(found.problem.is_used_reading.sum()) :][:3]
-    columns = found.problem.unknowns.target_columns[gauge.first_targets]
-    along = gauge.line_directions(found.state.target_points)
+    indices = np.ix_([0, 2], [0, 2])
+    decorrelated = idle.decorrelate(np.eye(3))
+    np.testing.assert_allclose((decorrelated.T @ decorrelated)[indices], np.linalg.inv(covariance[indices]), rtol=1e-12)
+    assert not decorrelated[:, 1].any()
+    adjustment = adjust(recording)
+    rows = to_dense(adjustment.solution.system.design)[int(adjustment.problem.is_used_reading.sum()) :][:3]
+    columns = adjustment.problem.unknowns.target_columns[gauge.first_targets]
+    along = gauge.line_directions(adjustment.state.target_points)
     np.testing.assert_allclose(np.stack([rows[:, c] for c in columns], axis=1) @ np.eye(3), white[:, :, None] * along)
 
 
@@ -122,9 +124,9 @@ def test_a_length_measured_in_place_is_an_observation_with_its_sigma(measured: R
     length = 1e3 * float(np.linalg.norm(points[0] - points[7]))
     plain = with_gauge(measured, line(*ends.values(), length))
     warm = with_gauge(measured, line(*ends.values(), length, measured_in_place=True), measured_at_c=35.0, **STEEL)
-    one, other = adjust(plain), adjust(warm)
-    assert one.dof == other.dof == adjust(with_gauge(measured)).dof + 1
-    np.testing.assert_allclose(other.state.target_points, one.state.target_points, atol=1e-12)
+    adjustment, other = adjust(plain), adjust(warm)
+    assert adjustment.dof == other.dof == adjust(with_gauge(measured)).dof + 1
+    np.testing.assert_allclose(other.state.target_points, adjustment.state.target_points, atol=1e-12)
     tied = adjust(with_gauge(measured, line(*ends.values(), length + 0.02, measured_in_place=True)))
     gap = 1e3 * float(np.linalg.norm(tied.state.target_points[0] - tied.state.target_points[7])) - length
     assert 0.016 < gap < 0.02  # held to 1 um, against readings of some 10 um
@@ -164,13 +166,13 @@ def test_the_budget_names_what_lengths_share_and_adds_up(tmp_path: Path) -> None
     assert lt.read(tmp_path / "rec").setup == recording.setup
     task = {"name": "far", "kind": "distance", "targets": ["T01", "T20"]}
     tables = {"format": TASKS_FORMAT, "source": "", "task": [task], "monte_carlo": {"max_trials": 10_000}}
-    found = evaluate_tasks(recording, validate_tasks(tables, "tasks"))
-    shares = found.linear_uncertainty.variance_by_source
+    evaluation = evaluate_tasks(recording, validate_tasks(tables, "tasks"))
+    shares = evaluation.linear_uncertainty.variance_by_source
     assert {"known lengths", "expansion of steel", "expansion of invar", "temperature of the gauge"} <= set(shares)
-    assert found.linear_uncertainty.evaluation_types["expansion of steel"] == "B"
+    assert evaluation.linear_uncertainty.evaluation_types["expansion of steel"] == "B"
     total = sum(share[0] for share in shares.values())
-    assert total == pytest.approx(found.linear_uncertainty.covariance[0, 0], rel=1e-9)
-    adjusted = found.inputs.network_or_coordinates
+    assert total == pytest.approx(evaluation.linear_uncertainty.covariance[0, 0], rel=1e-9)
+    adjusted = evaluation.inputs.network_or_coordinates
     names = [adjusted.recording.targets.index(name) for name in ("T01", "T20")]
     arm = adjusted.state.target_points[names[0]] - adjusted.state.target_points[names[1]]
     unit = np.concatenate([arm, -arm]) / np.linalg.norm(arm)
@@ -181,13 +183,13 @@ def test_the_budget_names_what_lengths_share_and_adds_up(tmp_path: Path) -> None
     assert total == pytest.approx(whole, rel=1e-6)
 
 
-def test_what_cannot_be_is_said_in_a_sentence() -> None:
-    for changes, said in (
+def test_impossible_input_is_refused_in_a_sentence() -> None:
+    for changes, message in (
         ({"lengths.1.from": "T99"}, "lengths.1.from names 'T99'"),
         ({"lengths.1.material": "brass"}, "not one of steel, invar"),
         ({"lengths.2.measured_at_c": "bar_c"}, "expected a number or 'air_temperature_c'"),
     ):
-        with pytest.raises(LtsimError, match=said):
+        with pytest.raises(LtsimError, match=message):
             scene(**changes)
 
 
@@ -204,9 +206,9 @@ def test_what_a_check_accepts_is_rejected_by_no_verb(scale: float, is_accepted: 
     """The uncertainty of a scale error includes the specification of the instrument in all verbs."""
     recording = network(seed=31, faces=2)[0]
     scaled = recording.with_readings(recording.readings * [1.0 + scale, 1.0, 1.0])
-    found = lt.check(scaled)
-    assert found.passed == is_accepted
-    assert is_accepted or "known lengths" in found.sentence
+    result = lt.check(scaled)
+    assert result.passed == is_accepted
+    assert is_accepted or "known lengths" in result.sentence
     plain, full = adjust(scaled), adjust(scaled, misalignment_construction())
     assert not is_accepted or not plain.rejected_references
     errors = [{t.name: t.error_sigmas for t in a.reference_tests if t.kind == "length"} for a in (plain, full)]

@@ -31,9 +31,9 @@ def test_each_figure_is_what_the_readings_show() -> None:
     right = network(seed=3)[0].setup.instrument.noise
     judged = verdict_on(adjust(loud(4.0)))
     assert judged.case is VerdictCase.SMALLER_NOISE
-    said = dict(re.findall(r"(\w+) to ([\d.e-]+)", judged.sentence.partition("Set ")[2]))
-    assert said.keys() == {key for key, value in right.model_dump().items() if value}
-    for key, value in said.items():
+    values_by_name = dict(re.findall(r"(\w+) to ([\d.e-]+)", judged.sentence.partition("Set ")[2]))
+    assert values_by_name.keys() == {key for key, value in right.model_dump().items() if value}
+    for key, value in values_by_name.items():
         assert float(value) == pytest.approx(getattr(right, key), rel=0.25), key
 
 
@@ -45,8 +45,8 @@ def test_sigmas_of_rows_are_multiplied() -> None:
     recording = loud(1.0)
     sigma = 3.0 * recording.reading_sigmas()[:, 0] * 1e3
     columns = {**recording.covariates, SIGMA_COLUMNS[0]: np.where(np.isfinite(sigma), sigma, np.nan)}
-    said = noise_declaration_advice(adjust(recording.replace(covariates=columns)))
-    assert re.fullmatch(r"Multiply the sigmas of distance by 0\.[23]\d*\.", said), said
+    advice = noise_declaration_advice(adjust(recording.replace(covariates=columns)))
+    assert re.fullmatch(r"Multiply the sigmas of distance by 0\.[23]\d*\.", advice), advice
 
 
 def test_variance_components_end_at_their_limit(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -55,10 +55,10 @@ def test_variance_components_end_at_their_limit(monkeypatch: pytest.MonkeyPatch)
     assert _secant_step(steps * [0.8, 0.5, 2.0, 0.0], steps, steps) == pytest.approx([1.6, -0.02, 6.0, 0.0])
     assert _secant_step(steps, 0.0 * steps, 0.0 * steps) == pytest.approx(steps)
     recording = loud(4.0)
-    found = adjust(recording, noise_grouping="instrument").variance_components
+    components = adjust(recording, noise_grouping="instrument").variance_components
     monkeypatch.setattr("ltsim.adjustment.stochastic_model.GROUP_NOISE_FACTOR_TOLERANCE", 1e-9)
     exact = adjust(recording, noise_grouping="instrument").variance_components
-    assert [c.noise_factor for c in found] == pytest.approx([c.noise_factor for c in exact], rel=2e-3)
+    assert [c.noise_factor for c in components] == pytest.approx([c.noise_factor for c in exact], rel=2e-3)
     assert all(0.2 < c.noise_factor < 0.3 for c in exact[:3])
 
 

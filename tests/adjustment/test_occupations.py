@@ -73,12 +73,14 @@ def test_no_tripod_of_a_sound_network_is_named(spire: float) -> None:
 
 @pytest.mark.parametrize("spire", [1.0, 30.0])
 @pytest.mark.parametrize("seed", family(range(4)))
-def test_a_tripod_beside_its_mark_on_the_second_day_is_named_with_its_size(seed: int, spire: float) -> None:
-    found = adjust(local_tie(seed, (1.5, 1.0, 0.0), spire))
-    moved = estimate_centring_errors(found)
+def test_a_tripod_next_to_its_mark_on_the_second_day_is_named_with_its_size(seed: int, spire: float) -> None:
+    adjustment = adjust(local_tie(seed, (1.5, 1.0, 0.0), spire))
+    moved = estimate_centring_errors(adjustment)
     assert moved is not None
-    assert [(one.mark, one.role, one.day) for one in moved.occupations] == [("P4", "target", DAYS[1])]
-    turned = found.state.target_points[1, :2] / np.linalg.norm(PILLARS[1, :2])
+    assert [(occupation.mark, occupation.role, occupation.day) for occupation in moved.occupations] == [
+        ("P4", "target", DAYS[1])
+    ]
+    turned = adjustment.state.target_points[1, :2] / np.linalg.norm(PILLARS[1, :2])
     across = np.array([-turned[1], turned[0]])
     east = PILLARS[1, :2] / np.linalg.norm(PILLARS[1, :2])
     expected = np.array([1.5, 1.0]) @ east * turned + np.array([1.5, 1.0]) @ [-east[1], east[0]] * across
@@ -86,15 +88,15 @@ def test_a_tripod_beside_its_mark_on_the_second_day_is_named_with_its_size(seed:
     assert np.all(np.abs(1e3 * moved.shifts[0, :2] - expected) < 4 * spread)
     assert moved.chi2_with_centring < 1.3 * moved.dof_with_centring
     assert moved.noisy_targets == (("SPIRE",) if spire > 1.0 else ())
-    assert f"P4 as target on {DAYS[1]} by 1." in found_sentence(found)
-    assert any(item.kind == "mistake" and "P4" in item.targets for item in check(found.recording).items)
+    assert f"P4 as target on {DAYS[1]} by 1." in text_of(adjustment)
+    assert any(item.kind == "mistake" and "P4" in item.targets for item in check(adjustment.recording).items)
 
 
-def found_sentence(found: object) -> str:
+def text_of(adjustment: object) -> str:
     """The doubts of an adjustment in one text."""
     from ltsim.adjustment.quality import adjustment_warnings
 
-    return " ".join(adjustment_warnings(found))  # type: ignore[arg-type]
+    return " ".join(adjustment_warnings(adjustment))  # type: ignore[arg-type]
 
 
 def test_a_point_of_directions_alone_has_a_place_in_plan_and_no_height() -> None:
@@ -109,11 +111,11 @@ def test_a_point_of_directions_alone_has_a_place_in_plan_and_no_height() -> None
     assert "no reading determines the height of SPIRE: adjusted in plan only" in calibration.notes
 
 
-def test_readings_of_a_tripod_beside_its_mark_are_mended_with_its_size_told() -> None:
-    found = adjust(local_tie(2, (1.5, 1.0, 0.0)))
-    mended, (told,) = correct_centring(found)
-    assert (told.effect_name, told.targets) == ("target-moved", ("P4",))
-    assert told.displacement == pytest.approx(np.hypot(1.5e-3, 1.0e-3), abs=4 * told.displacement_sigma)
-    again = adjust(mended, start_state=found.state)
+def test_readings_of_a_tripod_next_to_its_mark_are_corrected_and_the_offset_is_reported() -> None:
+    adjustment = adjust(local_tie(2, (1.5, 1.0, 0.0)))
+    corrected, (correction,) = correct_centring(adjustment)
+    assert (correction.effect_name, correction.targets) == ("target-moved", ("P4",))
+    assert correction.displacement == pytest.approx(np.hypot(1.5e-3, 1.0e-3), abs=4 * correction.displacement_sigma)
+    again = adjust(corrected, start_state=adjustment.state)
     assert again.sigma0 == pytest.approx(1.0, abs=0.15)
     assert estimate_centring_errors(again) is None

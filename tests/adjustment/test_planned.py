@@ -14,7 +14,7 @@ from ltsim.solve.gauss_newton import TerminationStatus
 from tests.campaigns.workshop import workshop
 
 
-def test_a_planned_adjustment_has_the_precision_of_the_solved_one() -> None:
+def test_a_planned_adjustment_has_the_precision_of_the_solved_adjustment() -> None:
     recording, state = workshop(faces=2)
     planned, solved = (
         Adjustment.from_plan(recording, state, misalignment_construction()),
@@ -35,7 +35,7 @@ def test_a_plan_that_leaves_a_station_open_is_refused_with_its_name() -> None:
         Adjustment.from_plan(recording.with_readings(readings), state)
 
 
-def test_a_problem_elsewhere_is_the_one_made_from_nothing() -> None:
+def test_a_problem_at_another_state_equals_a_newly_made_problem() -> None:
     recording, state = workshop(faces=2)
     there = state.with_increments(np.full((5, 6), 0.01), np.full((28, 3), 0.02), np.zeros((1, 16)), np.zeros(0))
     order = np.random.default_rng(0).permutation(len(recording))

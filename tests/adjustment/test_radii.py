@@ -40,7 +40,7 @@ OFF = -12.7
 def scenario(**changes: Any) -> Scenario:
     """The paper's room with the small SMR in eight nests and the middle one at station 3."""
     small = {f"targets.T{i:02d}.reflector": "small" for i in range(9, 17)}
-    stated = {
+    settings = {
         "reflectors": REFLECTORS,
         "reference_radius_mm": 19.05,
         "smr.reflector": "large",
@@ -49,13 +49,13 @@ def scenario(**changes: Any) -> Scenario:
         "stations.S3.reflector": "middle",
     }
     keys = {key.replace("__", "."): value for key, value in changes.items()}
-    return change_scenario(load_scenario("paper-workshop"), stated | small | keys, HERE)
+    return change_scenario(load_scenario("paper-workshop"), settings | small | keys, HERE)
 
 
-def controlled(recording: Recording, truth: Truth, known: tuple[str, ...] = CONTROL) -> Recording:
+def controlled(recording: Recording, truth: Truth, names: tuple[str, ...] = CONTROL) -> Recording:
     """The recording with some targets known as they are."""
     targets = dict(recording.setup.targets)
-    for name in known:
+    for name in names:
         place = tuple((1e3 * truth.target_points[truth.target_names.index(name)]).tolist())
         targets[name] = targets[name].model_copy(update={"known_mm": place, "known_sigma_mm": 0.002})
     return with_setup(recording, targets=targets)
@@ -67,8 +67,8 @@ def with_setup(recording: Recording, **changes: Any) -> Recording:
 
 def misses(recording: Recording, truth: Truth) -> tuple[Floats, Floats]:
     """Adjusted less true coordinates (T, 3) [m], and the covariances."""
-    found = adjust(recording)
-    return found.state.target_points - truth.target_points, found.target_covariances
+    adjustment = adjust(recording)
+    return adjustment.state.target_points - truth.target_points, adjustment.target_covariances
 
 
 def test_targets_are_the_centres_of_the_reference_ball() -> None:
@@ -91,11 +91,11 @@ def test_without_the_column_they_are_off_by_the_difference_of_the_radii() -> Non
         np.testing.assert_allclose(1e3 * miss[i], expected * normal, atol=0.06)
 
 
-@pytest.mark.parametrize("known", [(), CONTROL[:1], CONTROL[:2]])
-def test_a_network_that_nothing_holds_in_the_frame_of_the_normals_is_refused(known: tuple[str, ...]) -> None:
+@pytest.mark.parametrize("names", [(), CONTROL[:1], CONTROL[:2]])
+def test_a_network_that_nothing_holds_in_the_frame_of_the_normals_is_refused(names: tuple[str, ...]) -> None:
     recording, truth = lt.simulate(scenario(), seed=3)
     with pytest.raises(NetworkError, match=r"directions of these normals are unknown.* three known points"):
-        adjust(controlled(recording, truth, known))
+        adjust(controlled(recording, truth, names))
 
 
 def test_levels_hold_it_where_the_normals_are_vertical() -> None:
@@ -103,12 +103,12 @@ def test_levels_hold_it_where_the_normals_are_vertical() -> None:
     levels = {f"stations__S{i}__levelled": True for i in range(1, 6)}
     upright = scenario(**up, **levels, smr__nest_orientation="re-aimed", gauge__nest_normal=[0, 0, 1])
     recording, truth = lt.simulate(upright, seed=3)
-    found = adjust(recording)
-    assert 0.8 < found.sigma0 < 1.2 and not found.is_gross_pointing.any()
-    apart, true = (
-        np.linalg.norm(p[:, None] - p[None], axis=2) for p in (found.state.target_points, truth.target_points)
+    adjustment = adjust(recording)
+    assert 0.8 < adjustment.sigma0 < 1.2 and not adjustment.is_gross_pointing.any()
+    distances, true = (
+        np.linalg.norm(p[:, None] - p[None], axis=2) for p in (adjustment.state.target_points, truth.target_points)
     )
-    assert np.abs(apart - true).max() < 80e-6
+    assert np.abs(distances - true).max() < 80e-6
 
 
 @pytest.mark.parametrize("construction", [ideal_construction(), misalignment_construction()])
@@ -134,11 +134,11 @@ def test_first_order_and_exact_model_have_the_same_arm(construction: Any) -> Non
 
 def test_calibration_and_its_criteria_know_the_balls() -> None:
     recording, truth = lt.simulate(scenario(), seed=3)
-    one = lt.simulate(scenario(reflectors="none", stations__S3__reflector="none"), seed=3)[0]
-    found, alone = lt.calibrate(controlled(recording, truth)), lt.calibrate(controlled(one, truth))
-    assert found.fit.sigma0 == pytest.approx(alone.fit.sigma0, abs=0.01)
-    assert found.criteria is not None and alone.criteria is not None
-    mine, plain = found.criteria.distance.before, alone.criteria.distance.before
+    single_ball = lt.simulate(scenario(reflectors="none", stations__S3__reflector="none"), seed=3)[0]
+    calibration, alone = lt.calibrate(controlled(recording, truth)), lt.calibrate(controlled(single_ball, truth))
+    assert calibration.fit.sigma0 == pytest.approx(alone.fit.sigma0, abs=0.01)
+    assert calibration.criteria is not None and alone.criteria is not None
+    mine, plain = calibration.criteria.distance.before, alone.criteria.distance.before
     assert (mine.mean_um, mine.max_um) == pytest.approx((plain.mean_um, plain.max_um), abs=3)
     for method in (lambda: lt.calibrate(recording, method="distance"), lambda: lt.evaluate(recording)):
         with pytest.raises(NetworkError, match="SMRs of different radii have different centres"):
@@ -147,9 +147,9 @@ def test_calibration_and_its_criteria_know_the_balls() -> None:
 
 def test_a_radius_that_errs_is_an_error_of_all_its_pointings() -> None:
     errs = {"reflectors__small": {"radius_mm": 6.35, "sigma_radius_mm": 0.1}}
-    (one, _), (other, _) = lt.simulate(scenario(), seed=3), lt.simulate(scenario(**errs), seed=3)
-    changed_rows = np.any(one.readings != other.readings, axis=1)
-    small = np.array(one.labels["reflector"]) == "small"
+    (exact, _), (other, _) = lt.simulate(scenario(), seed=3), lt.simulate(scenario(**errs), seed=3)
+    changed_rows = np.any(exact.readings != other.readings, axis=1)
+    small = np.array(exact.labels["reflector"]) == "small"
     assert not changed_rows[~small].any() and changed_rows[small].all()
 
 
@@ -184,7 +184,7 @@ def without_normal(recording: Recording) -> Recording:
         ),
     ],
 )
-def test_what_is_missing_is_told_in_a_sentence(spoil: Any, sentence: str, tmp_path: Path) -> None:
+def test_a_missing_value_is_reported_in_a_sentence(spoil: Any, sentence: str, tmp_path: Path) -> None:
     recording, _ = lt.simulate(scenario(), seed=3)
     with pytest.raises(RecordError, match=sentence):
         write_recording(spoil(recording), tmp_path / "rec")
@@ -205,7 +205,7 @@ def test_a_scenario_says_what_its_balls_lack(changes: dict[str, Any], sentence: 
         lt.simulate(scenario(**changes), seed=3)
 
 
-def test_one_radius_for_all_moves_nothing() -> None:
+def test_equal_radii_change_nothing() -> None:
     recording, _ = lt.simulate(scenario(), seed=3)
     same = {
         name: reflector.model_copy(update={"radius_mm": 5.0}) for name, reflector in recording.setup.reflectors.items()
@@ -223,15 +223,15 @@ def test_the_radius_of_a_ball_is_a_source_of_the_budget() -> None:
     errs = scenario(reflectors__small__sigma_radius_mm=0.01, stations__S3__reflector="none")
     recording, truth = lt.simulate(errs, seed=3)
     point = {"name": "p", "kind": "point", "targets": ["T12"]}
-    stated = {"format": "ltsim-tasks/1", "source": "rec", "calibrate": False, "task": [point]}
-    inputs = TaskInputs.from_recording(controlled(recording, truth), validate_tasks(stated, "tasks.toml"))
+    tasks = {"format": "ltsim-tasks/1", "source": "rec", "calibrate": False, "task": [point]}
+    inputs = TaskInputs.from_recording(controlled(recording, truth), validate_tasks(tasks, "tasks.toml"))
     source = next(s for s in inputs.sources if s.name == "radius of small")
     normal = np.array(recording.target_setup("T12").nest_normal)
     assert source.evaluation_type == "B" and len([s for s in inputs.sources if s.name.startswith("radius")]) == 1
     np.testing.assert_allclose(1e3 * source.displacements_per_sigma[:, 0], 0.01 * normal, atol=1e-3)
 
 
-def test_a_pointing_in_gon_to_a_small_ball_is_mended() -> None:
+def test_a_pointing_in_gon_to_a_small_ball_is_corrected() -> None:
     recording, truth = lt.simulate(scenario(), seed=3)
     row = recording.labels["reflector"].index("small")
     readings = recording.readings.copy()
@@ -252,7 +252,7 @@ def test_a_format_that_knows_no_normals_refuses_them(tmp_path: Path) -> None:
     assert not any(tmp_path.iterdir())
 
 
-def test_a_reference_without_radii_is_said_to_change_nothing(tmp_path: Path) -> None:
+def test_a_reference_without_radii_is_reported_to_change_nothing(tmp_path: Path) -> None:
     recording, _ = lt.simulate(scenario(reflectors="none", stations__S3__reflector="none"), seed=3)
     write_recording(recording, tmp_path / "rec")
     (note,) = read_recording(tmp_path / "rec").notes

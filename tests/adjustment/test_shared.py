@@ -33,13 +33,13 @@ def recording() -> Recording:
 
 
 def test_it_is_the_adjustment_by_their_covariance(recording: Recording) -> None:
-    found = adjust(recording, tested_reference_kinds=())
+    adjustment = adjust(recording, tested_reference_kinds=())
     (shared,) = shared_errors(recording)
     assert shared.reading_changes_per_sigma.shape == (len(recording), len(OBSERVABLES), 2)
     alone = recording.replace(covariates={n: c for n, c in recording.covariates.items() if not n.startswith("shared_")})
     plain = NetworkProblem.from_model(MeasurementModel(alone, ideal_construction()))
-    assert found.dof == plain.dof
-    system = plain.linearise(replace(found.state, extra_parameters=np.zeros(0)))
+    assert adjustment.dof == plain.dof
+    system = plain.linearise(replace(adjustment.state, extra_parameters=np.zeros(0)))
     design, residual, used = to_dense(system.design), system.whitened_residuals.copy(), plain.is_used_reading
     reach = shared.reading_changes_per_sigma[used] / plain.reading_sigmas[used][:, None]
     root = np.linalg.cholesky(np.eye(len(reach)) + reach @ reach.T)
@@ -48,12 +48,14 @@ def test_it_is_the_adjustment_by_their_covariance(recording: Recording) -> None:
     spread = np.linalg.inv(design.T @ design)
     step = spread @ design.T @ residual
     assert np.abs(step / np.sqrt(np.diag(spread))).max() < 1e-3
-    assert found.chi2 == pytest.approx(float(residual @ residual), rel=1e-5)
+    assert adjustment.chi2 == pytest.approx(float(residual @ residual), rel=1e-5)
     at = plain.unknowns.target_columns
-    np.testing.assert_allclose(found.target_covariances, spread[at[:, :, None], at[:, None, :]], rtol=1e-4, atol=1e-15)
+    np.testing.assert_allclose(
+        adjustment.target_covariances, spread[at[:, :, None], at[:, None, :]], rtol=1e-4, atol=1e-15
+    )
 
 
-def test_columns_are_kept_and_are_no_circumstance(recording: Recording, tmp_path: Path) -> None:
+def test_columns_stay_and_are_no_circumstance(recording: Recording, tmp_path: Path) -> None:
     write(recording, tmp_path / "native", "native")
     again = read(tmp_path / "native")
     np.testing.assert_allclose(

@@ -57,7 +57,7 @@ def test_a_factorisation_that_fails_names_the_weakest_station_and_target(recordi
 
 
 @pytest.mark.long
-def test_a_known_length_of_targets_in_one_place_is_no_fault(recording: Recording) -> None:
+def test_a_reference_length_of_coincident_targets_is_no_fault(recording: Recording) -> None:
     """Targets in one horizontal plane against a gauge: a contradiction beyond any surprise is told, or refused."""
     readings = recording.readings.copy()
     readings[:, 2] = 0.0
@@ -69,8 +69,8 @@ def test_a_range_of_zero_is_a_sentence_of_every_verb(recording: Recording) -> No
     readings = recording.readings.copy()
     readings[3, 0] = 0.0
     for verb in (lt.adjust, lt.check):
-        said = refusal(verb, recording.with_readings(readings))
-        assert said == "" or "singular" in said
+        message = refusal(verb, recording.with_readings(readings))
+        assert message == "" or "singular" in message
 
 
 def test_a_set_up_in_the_place_of_a_target_that_it_measures_is_a_sentence(recording: Recording) -> None:
@@ -84,7 +84,7 @@ def test_a_set_up_in_the_place_of_a_target_that_it_measures_is_a_sentence(record
         )
 
 
-def test_targets_in_one_place_get_no_calibrated_length(recording: Recording) -> None:
+def test_coincident_targets_get_no_calibrated_length(recording: Recording) -> None:
     """`calibrate` proposed a bar of length zero between them, which no set-up may have."""
     few = recording.select((recording.station == 0) & (recording.target < 2))
     readings = np.tile(few.readings[:1], (len(few), 1))
@@ -94,13 +94,13 @@ def test_targets_in_one_place_get_no_calibrated_length(recording: Recording) -> 
 
 def test_an_exact_fit_with_estimated_noise_has_no_outlier() -> None:
     """Residuals of 0 were divided by the estimated sigma0 of 0, a warning of numpy."""
-    _, one = network(199)  # one target without noise
+    _, single = network(199)  # one target without noise
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert not lt.adjust(one, robust=True, noise_from_data=True).outliers
+        assert not lt.adjust(single, robust=True, noise_from_data=True).outliers
 
 
-def test_a_reading_that_is_left_out_is_not_suspected_without_end() -> None:
+def test_a_rejected_reading_is_not_tested_without_end() -> None:
     """Two targets at one set-up and a gauge of 1,000 km: `adjust` left the same reading out again and again."""
     _, recording = network(46099)
     with warnings.catch_warnings():

@@ -23,14 +23,14 @@ network = pytest.importorskip("benchmarks.adjust_size", reason="the benchmarks a
 def test_a_ring_of_210_set_ups_with_all_statistics():
     recording = network("ring", 210, 370, 3340)
     assert (len(recording), len(recording.targets)) == (3340, 370)
-    found = adjust(recording)
-    sigma = np.sqrt(np.einsum("tii->ti", found.target_covariances))
-    poses, redundancy = found.pose_covariance, found.redundancy
-    assert found.solution.has_converged
-    assert not found.is_gross_pointing.any()
-    assert 0.001 < found.p_value < 0.999
+    adjustment = adjust(recording)
+    sigma = np.sqrt(np.einsum("tii->ti", adjustment.target_covariances))
+    poses, redundancy = adjustment.pose_covariance, adjustment.redundancy
+    assert adjustment.solution.has_converged
+    assert not adjustment.is_gross_pointing.any()
+    assert 0.001 < adjustment.p_value < 0.999
     assert np.isfinite(sigma).all() and np.isfinite(poses).all()
-    assert np.nansum(redundancy) == pytest.approx(found.dof, abs=1e-3)
+    assert np.nansum(redundancy) == pytest.approx(adjustment.dof, abs=1e-3)
 
 
 def test_sparse_and_dense_elimination_give_the_same_adjustment(monkeypatch):
@@ -42,11 +42,11 @@ def test_sparse_and_dense_elimination_give_the_same_adjustment(monkeypatch):
     np.testing.assert_allclose(sparse.target_covariances, dense.target_covariances, rtol=1e-5, atol=1e-18)
     np.testing.assert_allclose(sparse.pose_covariance, dense.pose_covariance, rtol=1e-5, atol=1e-18)
     np.testing.assert_allclose(sparse.redundancy, dense.redundancy, atol=1e-7)
-    sigma = found_sigma(dense)
+    sigma = estimated_sigma(dense)
     assert sigma.max() > 5 * sigma.min()  # The far side of the ring is known less well than the first station's.
 
 
-def found_sigma(adjustment):
+def estimated_sigma(adjustment):
     """Largest standard deviation of each target."""
     return np.sqrt(np.linalg.eigvalsh(adjustment.target_covariances)[:, -1])
 
@@ -84,13 +84,13 @@ def test_memory_follows_the_pointings_and_not_the_square_of_the_set_ups():
     """400 set-ups: one table of all stations and targets would be 240 MB, a few of them a gigabyte."""
     recording = tunnel(400)
     tracemalloc.start()
-    found = adjust(recording)
+    adjustment = adjust(recording)
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert found.solution.has_converged
-    assert not found.is_gross_pointing.any()
-    assert 0.001 < found.p_value < 0.999
-    assert np.isfinite(found.target_covariances).all()
+    assert adjustment.solution.has_converged
+    assert not adjustment.is_gross_pointing.any()
+    assert 0.001 < adjustment.p_value < 0.999
+    assert np.isfinite(adjustment.target_covariances).all()
     assert most < 200e6
 
 
@@ -103,8 +103,8 @@ def test_the_list_of_pairs_is_what_a_table_would_be():
     pairs = StationTargetPairs.from_recording(twice)
     points = from_polar(twice.readings)
     for s in range(5):
-        own = pairs.pair_slice_of_station(s)
-        for target, point in zip(pairs.target_indices[own], pairs.local_points[own], strict=True):
+        pair_slice = pairs.pair_slice_of_station(s)
+        for target, point in zip(pairs.target_indices[pair_slice], pairs.local_points[pair_slice], strict=True):
             rows = (twice.station == s) & (twice.target == target)
             np.testing.assert_array_equal(point, np.median(points[rows], axis=0))
     values = pairs.local_points.copy()

@@ -48,7 +48,7 @@ def test_the_chance_at_a_limit_is_its_level():
     assert p_value_of_tau(np.array([3.0]), np.array([1.0]), 50) == 1.0
 
 
-def test_each_restless_target_is_judged_by_its_own_noise():
+def test_each_unstable_target_is_tested_with_its_noise():
     rng, times = random_stream(4, "noisy_targets"), 40
     target = np.repeat(np.arange(4), times)
     scatter = np.array([1.0, 1.0, 8.0, 40.0])[target][:, None] * rng.standard_normal((len(target), 3))
@@ -56,72 +56,79 @@ def test_each_restless_target_is_judged_by_its_own_noise():
     zero, rows = np.zeros(len(target), dtype=np.int64), np.arange(len(target))
     recording = Recording(Setup(), ("S",), ("A", "B", "C", "D"), zero, target, zero + 1, rows, rows * 1.0, place)
     scatter[2 * times + 5, 1] = 8.0 * 6.0  # six of its own standard deviations, one and a half of the loudest
-    found = adjust(recording.with_readings(place + scatter * recording.reading_sigmas()))
-    assert found.noisy_targets_and_scatter[0].tolist() == [3, 2]
+    adjustment = adjust(recording.with_readings(place + scatter * recording.reading_sigmas()))
+    assert adjustment.noisy_targets_and_scatter[0].tolist() == [3, 2]
     assert [
-        (one.pointing_index, one.observable_column) for one in found.flagged_readings(uses_estimated_noise=True)
+        (reading.pointing_index, reading.observable_column)
+        for reading in adjustment.flagged_readings(uses_estimated_noise=True)
     ] == [(2 * times + 5, 1)]
-    assert found.flagged_readings(uses_estimated_noise=True)[0].p_value < 1e-3
+    assert adjustment.flagged_readings(uses_estimated_noise=True)[0].p_value < 1e-3
 
 
 def test_a_large_error_blames_none_of_the_readings_that_it_bends():
     clean = noisy(3)
-    found = adjust(spoiled(clean, [(20, 0)], [80.0]), TRACKER)
+    adjustment = adjust(spoiled(clean, [(20, 0)], [80.0]), TRACKER)
     assert (
         np.sum(
-            np.abs(found.normalised_residuals) > critical_normalised_residual(int(found.problem.is_used_reading.sum()))
+            np.abs(adjustment.normalised_residuals)
+            > critical_normalised_residual(int(adjustment.problem.is_used_reading.sum()))
         )
         > 1
     )
-    assert [(one.pointing_index, one.observable_column) for one in found.flagged_readings()] == [(20, 0)]
+    assert [(reading.pointing_index, reading.observable_column) for reading in adjustment.flagged_readings()] == [
+        (20, 0)
+    ]
     two = adjust(spoiled(clean, [(20, 0), (47, 2)], [80.0, 9.0]), TRACKER)
-    assert [(one.pointing_index, one.observable_column) for one in two.flagged_readings()] == [(20, 0), (47, 2)]
+    assert [(reading.pointing_index, reading.observable_column) for reading in two.flagged_readings()] == [
+        (20, 0),
+        (47, 2),
+    ]
     assert two.flagged_readings()[1].estimated_error / two.problem.reading_sigmas[47, 2] == pytest.approx(9.0, abs=4.0)
 
 
 def test_tau_exceeds_its_limit_as_often_as_its_level_says():
     over, count = 0, 0
     for seed in range(40):
-        found = adjust(noisy(seed, (3.0, 3.0, 3.0), stations=2), TRACKER)
-        tau = found.normalised_residuals[np.nan_to_num(found.redundancy) > 0.2] / found.sigma0
-        over += int(np.sum(p_value_of_tau(np.abs(tau), np.full(len(tau), float(found.dof)), 1) < 0.05))
+        adjustment = adjust(noisy(seed, (3.0, 3.0, 3.0), stations=2), TRACKER)
+        tau = adjustment.normalised_residuals[np.nan_to_num(adjustment.redundancy) > 0.2] / adjustment.sigma0
+        over += int(np.sum(p_value_of_tau(np.abs(tau), np.full(len(tau), float(adjustment.dof)), 1) < 0.05))
         count += len(tau)
     assert over / count == pytest.approx(0.05, abs=0.015)
 
 
-def test_an_error_of_the_detectable_size_is_found_with_its_power():
+def test_an_error_of_the_detectable_size_is_detected_with_its_power():
     clean = adjust(noisy(3), TRACKER)
     needed = noncentrality(alpha=FAMILY_WISE_LEVEL, n_tests=int(clean.problem.is_used_reading.sum()))
     bias = np.sqrt(needed / clean.redundancy)
     rows = random_stream(5, "rows").permutation(len(clean.recording))[:120]
     limit = critical_normalised_residual(int(clean.problem.is_used_reading.sum()))
-    found = 0
+    n_detected = 0
     for k, i in enumerate(rows):
         j = k % 3
         expected = clean.normalised_residuals[i, j] + bias[i, j] * np.sqrt(clean.redundancy[i, j])
         if k < 6:
             again = adjust(spoiled(clean.recording, [(i, j)], [bias[i, j]]), TRACKER, start_state=clean.state)
             assert again.normalised_residuals[i, j] == pytest.approx(expected, abs=0.05)
-        found += expected > limit
-    assert found / len(rows) == pytest.approx(0.8, abs=0.13)
+        n_detected += expected > limit
+    assert n_detected / len(rows) == pytest.approx(0.8, abs=0.13)
 
 
 # --- robust adjustment --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_many_blunders_are_left_out_and_nothing_else(seed):
+def test_many_blunders_are_excluded_and_nothing_else(seed):
     clean = noisy(seed)
     rng = random_stream(seed, "blunders")
     where = [(int(i), int(rng.integers(3))) for i in rng.permutation(len(clean))[:14]]
     sizes = rng.choice([-1, 1], 14) * 10 ** rng.uniform(1.3, 3.5, 14)
-    found = adjust(spoiled(clean, where, sizes), TRACKER, robust=True)
-    assert found.solution.has_converged
-    assert {tuple(map(int, at)) for at in np.argwhere(found.is_rejected_reading)} == set(where)
+    adjustment = adjust(spoiled(clean, where, sizes), TRACKER, robust=True)
+    assert adjustment.solution.has_converged
+    assert {tuple(map(int, at)) for at in np.argwhere(adjustment.is_rejected_reading)} == set(where)
     use = np.ones((len(clean), 3), dtype=bool)
     use[tuple(np.array(where).T)] = False
     without = adjust(clean, TRACKER, reading_mask=use)
-    np.testing.assert_allclose(found.state.target_points, without.state.target_points, atol=1e-9)
+    np.testing.assert_allclose(adjustment.state.target_points, without.state.target_points, atol=1e-9)
 
 
 def test_clean_recordings_lose_nothing():
@@ -141,25 +148,25 @@ def test_what_was_screened_out_wrongly_comes_back():
 
 
 def test_a_wrong_level_of_noise_is_not_taken_for_blunders():
-    found = adjust(noisy(2, (6.0, 6.0, 6.0)), TRACKER, robust=True)
-    assert found.is_rejected_reading.sum() <= 2
+    adjustment = adjust(noisy(2, (6.0, 6.0, 6.0)), TRACKER, robust=True)
+    assert adjustment.is_rejected_reading.sum() <= 2
 
 
 # --- variance components ------------------------------------------------------------------------------------------
 
 
-def test_noise_of_each_observable_is_found():
+def test_noise_of_each_observable_is_estimated():
     truth = (2.0, 0.5, 4.0)
-    found = adjust(noisy(4, truth, faces=2), TRACKER, noise_grouping="observable")
-    assert [c.observable for c in found.variance_components] == ["distance", "azimuth", "elevation"]
-    for component, true in zip(found.variance_components, truth, strict=True):
+    adjustment = adjust(noisy(4, truth, faces=2), TRACKER, noise_grouping="observable")
+    assert [c.observable for c in adjustment.variance_components] == ["distance", "azimuth", "elevation"]
+    for component, true in zip(adjustment.variance_components, truth, strict=True):
         assert component.noise_factor == pytest.approx(true, abs=4 * component.noise_factor_sigma)
         assert component.noise_factor_sigma < 0.1 * true
         assert abs(component.noise_factor - 1.0) > 3.0 * component.noise_factor_sigma
-    assert found.sigma0 == pytest.approx(1.0, abs=0.02)
+    assert adjustment.sigma0 == pytest.approx(1.0, abs=0.02)
 
 
-def test_noise_of_each_instrument_is_found_with_blunders_about():
+def test_noise_of_each_instrument_is_estimated_in_spite_of_blunders():
     recording, _ = network(faces=2)
     stations = {n: Station(instrument="AB"[i % 2]) for i, n in enumerate(recording.stations)}
     setup = recording.setup.model_copy(
@@ -170,10 +177,10 @@ def test_noise_of_each_instrument_is_found_with_blunders_about():
     noise = random_stream(6, "noise").standard_normal(recording.readings.shape)
     recording = recording.with_readings(recording.readings + recording.reading_sigmas() * noise * scale)
     where = [(5, 0), (40, 1), (111, 2)]
-    found = adjust(spoiled(recording, where, [200, -300, 500]), robust=True, noise_grouping="instrument")
-    assert set(where) <= {tuple(map(int, at)) for at in np.argwhere(found.is_rejected_reading)}
-    assert found.is_rejected_reading.sum() < 8
-    for component in found.variance_components:
+    adjustment = adjust(spoiled(recording, where, [200, -300, 500]), robust=True, noise_grouping="instrument")
+    assert set(where) <= {tuple(map(int, at)) for at in np.argwhere(adjustment.is_rejected_reading)}
+    assert adjustment.is_rejected_reading.sum() < 8
+    for component in adjustment.variance_components:
         assert component.noise_factor == pytest.approx(
             {"A": 1.0, "B": 3.0}[component.instrument], abs=4 * component.noise_factor_sigma
         )
@@ -216,10 +223,10 @@ def test_the_verdict_says_which_test_to_trust():
     smaller = verdict_on(adjust(noisy(1, (0.3, 0.3, 0.3)), TRACKER))
     assert smaller.case is VerdictCase.SMALLER_NOISE
     assert smaller.uses_estimated_noise
-    for one in (larger, smaller):
-        first, *others = one.sentence.split(". ")
+    for adjustment in (larger, smaller):
+        first, *others = adjustment.sentence.split(". ")
         assert first.startswith(("The noise is larger", "The instrument constants", "The declared noise is too large"))
         assert any(sentence.startswith("Trust the ") for sentence in others)
-        assert ";" not in one.sentence and max(map(len, others)) < 150, "one idea a sentence"
-        assert one.sentence.endswith(".")
-        assert "\n" not in one.sentence
+        assert ";" not in adjustment.sentence and max(map(len, others)) < 150, "one idea a sentence"
+        assert adjustment.sentence.endswith(".")
+        assert "\n" not in adjustment.sentence

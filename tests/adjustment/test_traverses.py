@@ -29,8 +29,8 @@ def traverse(file: Path, *, ends: str = "both", skipped: tuple[int, int] | None 
     rows = ['<gama-local><network axes-xy="en" angles="left-handed"><parameters sigma-apr="1" sigma-act="apriori"/>']
     rows.append('<points-observations direction-stdev="3" distance-stdev="1">')
     for i, (x, y) in enumerate(points.tolist()):
-        known = {0: ("both", "one"), COUNT - 1: ("both",)}.get(i, ())
-        place = f'x="{x:.4f}" y="{y:.4f}"' if ends in known else ""
+        reference_axes = {0: ("both", "one"), COUNT - 1: ("both",)}.get(i, ())
+        place = f'x="{x:.4f}" y="{y:.4f}"' if ends in reference_axes else ""
         rows.append(
             f'<point id="{i}" {place} {"fix" if place and not i else "adj"}="{"XY" if place and i else "xy"}"/>'
         )
@@ -77,14 +77,14 @@ def test_a_wrong_height_of_a_set_up_with_two_pointings_is_no_physics(tmp_path: P
     rows = ['<gama-local><network axes-xy="en" angles="left-handed"><parameters sigma-apr="1" sigma-act="apriori"/>']
     rows.append('<points-observations direction-stdev="6" zenith-angle-stdev="6" distance-stdev="1">')
     rows += [f'<point id="{name}" adj="xyz"/>' for name in "ABCDE"]
-    for i, true_height, stated_height in (
+    for i, true_height, declared_height in (
         (0, 0.0, 0.0),
         (1, 0.0, 0.0),
         (1, 0.25, 0.0),
         *((i, 0.0, 0.0) for i in (2, 3, 4)),
     ):
         rows.append(f'<obs from="{"ABCDE"[i]}">')
-        zero, height = rng.uniform(0, 400), f'from_dh="{stated_height}" to_dh="0"'
+        zero, height = rng.uniform(0, 400), f'from_dh="{declared_height}" to_dh="0"'
         for j in ((i - 1) % 5, (i + 1) % 5):
             east, north, up = points[j] - points[i] - [0.0, 0.0, true_height]
             plan, to = np.hypot(east, north), f'to="{"ABCDE"[j]}"'
@@ -122,9 +122,9 @@ def test_closed_traverse_in_space_with_lengths_of_the_neighbours(tmp_path: Path,
             rows.append(f"T{i};T{j};1.55;1.70;{turn:.5f};{zenith:.5f};{distance}")
     lines = ["Station;Target;IH;TH;Hz [deg];Zenith [deg];SD [m]", *(reversed(rows) if reverses_rows else rows)]
     (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
-    found = adjust(read(tmp_path / "a.csv"))
-    assert found.dof == 14
-    order = [found.recording.targets.index(f"T{i}") for i in range(7)]
-    places = found.state.target_points[order]
+    adjustment = adjust(read(tmp_path / "a.csv"))
+    assert adjustment.dof == 14
+    order = [adjustment.recording.targets.index(f"T{i}") for i in range(7)]
+    places = adjustment.state.target_points[order]
     sides, expected = (np.linalg.norm(p[:, None] - p[None], axis=2) for p in (places, points))
     assert np.abs(sides - expected).max() < 0.01

@@ -30,23 +30,23 @@ ALLOWED = {
 
 def opened(source: ast.Module) -> set[str]:
     """Names of the functions by which a module opens files; functions that take a path are ltsim's."""
-    found = set()
+    names = set()
     for node in ast.walk(source):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in OPENING:
-            found.add(node.func.attr)
+            names.add(node.func.attr)
         elif isinstance(node, ast.Call) and getattr(node.func, "id", "") in ("open", "fdopen"):
-            found.add("open")
-    return found
+            names.add("open")
+    return names
 
 
-def test_files_of_the_user_are_opened_in_one_place() -> None:
-    found = {
+def test_files_of_the_user_are_opened_in_a_single_place() -> None:
+    names_by_file = {
         path.relative_to(PACKAGE).as_posix(): names
         for path in sorted(PACKAGE.rglob("*.py"))
         if (names := opened(ast.parse(path.read_text(encoding="utf-8"))))
     }
-    assert {file: names for file, names in found.items() if file not in ALLOWED} == {}, "use `open_for_reading`"
-    assert {*ALLOWED} <= {*found}
+    assert {file: names for file, names in names_by_file.items() if file not in ALLOWED} == {}, "use `open_for_reading`"
+    assert {*ALLOWED} <= {*names_by_file}
 
 
 @pytest.mark.parametrize("text", ["open(path)", "path.open('rb')", "path.read_bytes()", "Path(p).read_text()"])

@@ -145,5 +145,5 @@ def test_continuous_integration_runs_what_the_readme_says(root: Path) -> None:
     assert len(commands) == 1
     readme = (root / "README.md").read_text()
     blocks = re.findall(r"^```[^\n]*\n(.*?)^```", readme, re.MULTILINE | re.DOTALL)
-    said = [line for block in blocks for line in block.splitlines()]
-    assert commands[0] in said, f"README.md does not say: {commands[0]}"
+    lines = [line for block in blocks for line in block.splitlines()]
+    assert commands[0] in lines, f"README.md does not say: {commands[0]}"

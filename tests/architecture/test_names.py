@@ -14,6 +14,8 @@ from tests.architecture.syntax import tree_of
 
 PACKAGE = Path(ltsim.__file__).parent
 PARTS = sorted({path.relative_to(PACKAGE).parts[0].removesuffix(".py") for path in PACKAGE.rglob("*.py")})
+CHECKOUT_FOLDERS = ("benchmarks", "experiments", "tests")
+"""Folders of the checkout next to the package whose names are also checked."""
 WORDS = {
     *("alike", "apart", "beside", "found", "kept", "known", "left", "mended", "one", "own"),
     *("said", "seen", "some", "stated", "stray", "told"),
@@ -112,7 +114,7 @@ LAWS = PACKAGE.parent / "experiments" / "20_concealed_physics" / "laws"
 
 def offences(part: str) -> list[str]:
     """Places of a package, of a module beside the packages, or of a folder of the checkout with one of `WORDS`."""
-    folder = PACKAGE.parent / part if part in ("benchmarks", "experiments") else PACKAGE / part
+    folder = PACKAGE.parent / part if part in CHECKOUT_FOLDERS else PACKAGE / part
     bad = []
     files = sorted(folder.rglob("*.py")) if folder.is_dir() else [folder.with_suffix(".py")]
     for file in (file for file in files if file.parent != LAWS):
@@ -182,8 +184,8 @@ def test_a_parameter_is_named_by_what_it_is(part: str) -> None:
     folder, bad = PACKAGE / part, []
     for file in sorted(folder.rglob("*.py")) if folder.is_dir() else [folder.with_suffix(".py")]:
         tree = tree_of(file)
-        found = () if part == "cli" else vague_parameters(tree, ltsim.__all__)  # of a command they are options
-        bad += [f"{file.relative_to(PACKAGE.parent)}:{line}: {name}" for line, name in found]
+        names = () if part == "cli" else vague_parameters(tree, ltsim.__all__)  # of a command they are options
+        bad += [f"{file.relative_to(PACKAGE.parent)}:{line}: {name}" for line, name in names]
     assert not bad, "\n".join(["name the parameter with a noun:", *bad])
 
 
@@ -201,7 +203,7 @@ def test_functions_and_constants_have_a_noun(part: str) -> None:
     assert not bad, "\n".join(["name the value with a noun, and a limit as MAX_ or MIN_:", *bad])
 
 
-def test_a_constant_has_one_value() -> None:
+def test_a_constant_has_a_single_value() -> None:
     values: dict[str, dict[str, list[str]]] = {}
     for file in sorted(PACKAGE.rglob("*.py")):
         for line, name, value in constants(tree_of(file)):
@@ -251,7 +253,7 @@ def test_the_number_of_numeric_constants_does_not_grow(part: str) -> None:
     )
 
 
-def test_a_numeric_constant_holds_a_number_of_its_own() -> None:
+def test_numeric_constants_are_those_with_a_literal_number() -> None:
     tree = ast.parse(
         'A = 3\nB: float = 1e-3 * A\nC, D = (2, 4), A[1:]\nE = {"a": 1}\nF = Table("t", 4)\nG = -np.log(A)\nh = 4'
     )
@@ -276,7 +278,7 @@ def test_a_limit_says_what_it_limits() -> None:
     assert [name for _, name, _ in constants(tree) if lacks_decision(name)] == ["MOST_OPTIMA", "LEAST", "_MANY"]
 
 
-@pytest.mark.parametrize("part", [*PARTS, "benchmarks", "experiments"])
+@pytest.mark.parametrize("part", [*PARTS, *CHECKOUT_FOLDERS])
 def test_names_say_what_a_value_is(part: str) -> None:
     bad = offences(part)
     assert not bad, "\n".join(["name what the value is, not when it came to be:", *bad])

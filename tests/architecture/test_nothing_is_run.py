@@ -77,26 +77,26 @@ def imports_danger(node: ast.ImportFrom) -> bool:
 
 def dangers(source: ast.Module) -> set[str]:
     """Names of calls and imports in a module that could run what a file says."""
-    found = set()
+    names = set()
     for node in ast.walk(source):
         if isinstance(node, ast.Import):
-            found |= {a.name for a in node.names if {a.name, a.name.split(".")[0]} & MODULES_THAT_RUN}
+            names |= {a.name for a in node.names if {a.name, a.name.split(".")[0]} & MODULES_THAT_RUN}
         elif isinstance(node, ast.ImportFrom) and imports_danger(node):
-            found.add(str(node.module))
+            names.add(str(node.module))
         elif isinstance(node, ast.Call) and is_dangerous(node):
-            found.add(called(node))
+            names.add(called(node))
         elif (
             isinstance(node, ast.keyword)
             and node.arg in ("allow_pickle", "shell")
             and ast.unparse(node.value) != "False"
         ):
-            found.add(f"{node.arg}=")
-    return found
+            names.add(f"{node.arg}=")
+    return names
 
 
 def test_no_module_runs_what_a_file_names() -> None:
-    found = {named(path): dangers(tree(path)) - ALLOWED.get(named(path), {}).keys() for path in MODULES}
-    assert {file: names for file, names in found.items() if names} == {}, (
+    names_by_module = {named(path): dangers(tree(path)) - ALLOWED.get(named(path), {}).keys() for path in MODULES}
+    assert {file: names for file, names in names_by_module.items() if names} == {}, (
         "say in ALLOWED why no file decides what it does"
     )
 
@@ -175,9 +175,9 @@ def test_reading_a_file_that_names_code_runs_none(kind: str, suffix: str, tmp_pa
                 archive.writestr("result.json", text)
                 archive.writestr("0.npy", pickle.dumps(Marker(made)))
                 archive.writestr("../made", "")
-    with pytest.raises(LtsimError) as told:
+    with pytest.raises(LtsimError) as caught:
         lt.read(file)
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(caught.value)
     assert not made.exists()
 
 

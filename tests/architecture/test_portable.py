@@ -20,7 +20,9 @@ def imported(path: Path) -> set[str]:
 
 def test_every_import_is_there_on_every_system() -> None:
     package = Path(ltsim.__file__).parent
-    found = {str(path.relative_to(package)): imported(path) & (UNIX | WINDOWS) for path in package.rglob("*.py")}
-    assert len(found) > 100 and "pyarrow" in imported(package / "campaigns" / "store.py")
+    imports_by_module = {
+        str(path.relative_to(package)): imported(path) & (UNIX | WINDOWS) for path in package.rglob("*.py")
+    }
+    assert len(imports_by_module) > 100 and "pyarrow" in imported(package / "campaigns" / "store.py")
     guarded = {"scene/cad_process.py": {"resource"}}  # `limit_process_resources` does without it where there is none
-    assert {path: names for path, names in found.items() if names - guarded.get(path, set())} == {}
+    assert {path: names for path, names in imports_by_module.items() if names - guarded.get(path, set())} == {}

@@ -81,7 +81,7 @@ def test_the_result_of_a_verb_is_the_model_of_its_file(verb: str, file: str) -> 
     )
 
 
-def test_the_summary_of_a_campaign_is_one_model() -> None:
+def test_the_summary_of_a_campaign_is_a_single_model() -> None:
     """What `ltsim campaign --json` prints: its entries are those that Python, figures and pages use."""
     statistics = CampaignSummary, StatisticSummary, ZScoreSummary, SolverComparison
     assert all(field_descriptions(kind).keys() == kind.model_fields.keys() for kind in statistics)
@@ -89,7 +89,7 @@ def test_the_summary_of_a_campaign_is_one_model() -> None:
     assert signature.return_annotation in (CampaignSummary, "CampaignSummary")
 
 
-def test_the_catalogue_of_effects_is_one_model(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_catalogue_of_effects_is_a_single_model(capsys: pytest.CaptureFixture[str]) -> None:
     """`ltsim effects --json` prints the descriptions that `lt.catalogue` returns."""
     kinds = EffectDescription, ParameterDescription, ShapeParameterDescription
     assert all(field_descriptions(kind).keys() == kind.model_fields.keys() for kind in kinds)

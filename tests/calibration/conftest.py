@@ -68,9 +68,9 @@ def make() -> Make:
         for i in range(count - 4, count):
             for j in range(i + 1, count):
                 true = float(np.linalg.norm(POINTS[i] - POINTS[j]))
-                known = true + noise * GAUGE_SIGMA * rng.standard_normal()
+                reference_lengths = true + noise * GAUGE_SIGMA * rng.standard_normal()
                 ends = {"from": names[i], "to": names[j]}
-                lengths.append(GaugeDistance(**ends, length_mm=1e3 * known, sigma_mm=1e3 * GAUGE_SIGMA))
+                lengths.append(GaugeDistance(**ends, length_mm=1e3 * reference_lengths, sigma_mm=1e3 * GAUGE_SIGMA))
         readings = built.readings_from_points(local, face, values)
         recording = Recording(
             setup=Setup(gauge=LengthGauge(distance=tuple(lengths))),

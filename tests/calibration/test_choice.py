@@ -31,12 +31,16 @@ def with_prior(recording: Recording, **parameters: float) -> Recording:
 
 @pytest.mark.parametrize("method", ["network", "distance"])
 def test_only_chosen_parameters_are_estimated(recording: Recording, method: str) -> None:
-    found = lt.calibrate(recording, method=method, parameters=["beam-tilt", "azimuth-eccentricity"], advise=False)
-    free = [name for name, held in zip(found.instrument_parameter_names, found.is_fixed[0], strict=True) if not held]
+    calibration = lt.calibrate(recording, method=method, parameters=["beam-tilt", "azimuth-eccentricity"], advise=False)
+    free = [
+        name
+        for name, held in zip(calibration.instrument_parameter_names, calibration.is_fixed[0], strict=True)
+        if not held
+    ]
     assert free == ["beam-tilt", "azimuth-eccentricity-cos", "azimuth-eccentricity-sin"]
-    assert np.all(found.estimates[found.is_fixed] == 0.0)
-    assert np.all(found.sigma[found.is_fixed] == 0.0)
-    assert np.all(found.sigma[~found.is_fixed] > 0.0)
+    assert np.all(calibration.estimates[calibration.is_fixed] == 0.0)
+    assert np.all(calibration.sigma[calibration.is_fixed] == 0.0)
+    assert np.all(calibration.sigma[~calibration.is_fixed] > 0.0)
 
 
 @pytest.mark.long
@@ -54,11 +58,13 @@ def test_holding_at_the_truth_is_as_good_as_leaving_the_parameter_out(recording:
 
 @pytest.mark.parametrize("method", ["network", "distance", "distance-l1"])
 def test_a_parameter_stays_at_the_value_at_which_it_is_held(recording: Recording, method: str) -> None:
-    found = lt.calibrate(recording, method=method, hold={"beam-tilt": 2.5}, without=["transit-tilt"], advise=False)
-    tilt = found.instrument_parameter_names.index("beam-tilt")
-    assert found.estimates[0, tilt] == pytest.approx(2.5e-6, rel=1e-12)
-    assert found.is_fixed[0].sum() == 2
-    assert not any("beam-tilt" in c.combination for c in found.undetermined)
+    calibration = lt.calibrate(
+        recording, method=method, hold={"beam-tilt": 2.5}, without=["transit-tilt"], advise=False
+    )
+    tilt = calibration.instrument_parameter_names.index("beam-tilt")
+    assert calibration.estimates[0, tilt] == pytest.approx(2.5e-6, rel=1e-12)
+    assert calibration.is_fixed[0].sum() == 2
+    assert not any("beam-tilt" in c.combination for c in calibration.undetermined)
 
 
 def test_a_calibration_as_prior_is_as_if_both_had_been_measured(recording: Recording) -> None:
@@ -68,9 +74,11 @@ def test_a_calibration_as_prior_is_as_if_both_had_been_measured(recording: Recor
     second = lt.calibrate(other, advise=False)
     chained = lt.calibrate(other, prior=first, advise=False)
     unit = np.outer(first.prior_sigma, first.prior_sigma)
-    told = [np.linalg.inv(c.covariance / unit) for c in (first, second)]
-    both = np.linalg.inv(told[0] + told[1] - np.eye(16))
-    values = both @ sum(n @ (c.estimates[0] / c.prior_sigma[0]) for n, c in zip(told, (first, second), strict=True))
+    information = [np.linalg.inv(c.covariance / unit) for c in (first, second)]
+    both = np.linalg.inv(information[0] + information[1] - np.eye(16))
+    values = both @ sum(
+        n @ (c.estimates[0] / c.prior_sigma[0]) for n, c in zip(information, (first, second), strict=True)
+    )
     assert chained.has_history_prior
     assert np.sqrt(np.diag(both)) == pytest.approx(chained.sigma[0] / first.prior_sigma[0], rel=1e-3)
     gap = (values * first.prior_sigma[0] - chained.estimates[0]) / chained.sigma[0]
@@ -78,15 +86,15 @@ def test_a_calibration_as_prior_is_as_if_both_had_been_measured(recording: Recor
 
 
 def test_a_prior_of_a_single_parameter_is_in_its_unit(recording: Recording, tmp_path: Path) -> None:
-    stated = with_prior(recording, **{"beam-tilt": 0.5})
-    write(stated, tmp_path / "rec")
-    found = lt.calibrate(read(tmp_path / "rec"), advise=False)
-    tilt = found.instrument_parameter_names.index("beam-tilt")
-    assert found.prior_sigma[0, tilt] == pytest.approx(0.5e-6)
-    assert found.prior_sigma[0, tilt + 1] == pytest.approx(14.544e-6, rel=1e-4)
+    narrow = with_prior(recording, **{"beam-tilt": 0.5})
+    write(narrow, tmp_path / "rec")
+    calibration = lt.calibrate(read(tmp_path / "rec"), advise=False)
+    tilt = calibration.instrument_parameter_names.index("beam-tilt")
+    assert calibration.prior_sigma[0, tilt] == pytest.approx(0.5e-6)
+    assert calibration.prior_sigma[0, tilt + 1] == pytest.approx(14.544e-6, rel=1e-4)
 
 
-def test_one_instrument_of_two_has_priors_and_choices_of_its_own(recording: Recording) -> None:
+def test_instruments_have_separate_priors_and_choices(recording: Recording) -> None:
     tables = {"A": Instrument(), "B": Instrument(prior=Prior(parameters={"beam-tilt": 1.0}))}
     stations = {s: {"instrument": "A" if k < 3 else "B"} for k, s in enumerate(recording.stations)}
     content = recording.setup.model_dump(by_alias=True) | {
@@ -94,13 +102,13 @@ def test_one_instrument_of_two_has_priors_and_choices_of_its_own(recording: Reco
         "stations": stations,
     }
     two = recording.replace(setup=type(recording.setup).model_validate(content))
-    found = lt.calibrate(two, without=["vertical-index@B"], advise=False)
+    calibration = lt.calibrate(two, without=["vertical-index@B"], advise=False)
     tilt, index = (
-        found.instrument_parameter_names.index("beam-tilt@A"),
-        found.construction.parameter_index("vertical-index"),
+        calibration.instrument_parameter_names.index("beam-tilt@A"),
+        calibration.construction.parameter_index("vertical-index"),
     )
-    assert found.prior_sigma[:, tilt] == pytest.approx([14.544e-6, 1e-6], rel=1e-4)
-    assert found.is_fixed[:, index].tolist() == [False, True]
+    assert calibration.prior_sigma[:, tilt] == pytest.approx([14.544e-6, 1e-6], rel=1e-4)
+    assert calibration.is_fixed[:, index].tolist() == [False, True]
 
 
 WRONG = {
@@ -155,30 +163,30 @@ def test_the_command_line_has_the_same_choices(recording: Recording, tmp_path: P
     assert "expected NAME=VALUE" in capsys.readouterr().err
 
 
-def test_a_history_is_a_prior_and_takes_only_calibrations_without_one(recording: Recording, tmp_path: Path) -> None:
-    own = [lt.calibrate(network(faces=2, seed=s, values=VALUES)[0], without=["transit-offset"], advise=False)
+def test_a_history_is_a_prior_and_takes_only_calibrations_without_a_prior(recording: Recording, tmp_path: Path) -> None:
+    calibrations = [lt.calibrate(network(faces=2, seed=s, values=VALUES)[0], without=["transit-offset"], advise=False)
            for s in (5, 6, 7)]  # fmt: skip
-    history = lt.history(own)
+    history = lt.history(calibrations)
     assert len(history.parameters) == 15
     file = tmp_path / "history.json"
     file.write_text(json.dumps(history.content()))
-    found = [lt.calibrate(recording, prior=source, advise=False) for source in (history, file)]
-    assert found[0].estimates == pytest.approx(found[1].estimates, rel=1e-6)
-    assert np.all(found[0].sigma[0] <= 1.01 * lt.calibrate(recording, advise=False).sigma[0])
+    results = [lt.calibrate(recording, prior=source, advise=False) for source in (history, file)]
+    assert results[0].estimates == pytest.approx(results[1].estimates, rel=1e-6)
+    assert np.all(results[0].sigma[0] <= 1.01 * lt.calibrate(recording, advise=False).sigma[0])
     with pytest.raises(LtsimError, match="independent of each other"):
-        lt.history([found[0], found[1]])
+        lt.history([results[0], results[1]])
 
 
-def test_an_extra_coefficient_that_contradicts_its_prior_is_said_and_estimated() -> None:
+def test_an_extra_coefficient_that_contradicts_its_prior_is_reported_and_estimated() -> None:
     built = dh_construction()
     at = built.parameter_index("J1.eX_sin2")
     values = np.zeros(built.n_parameters)
     values[at] = 5e-6
     recording = network(faces=2, seed=2, values=values, construction=built)[0]
-    found = lt.calibrate(recording, construction="dh", advise=False)
-    assert abs(found.estimates[0, at] - 5e-6) < 3 * found.sigma[0, at]
-    said = [note for note in found.notes if note.startswith("J1.eX_sin2: ")]
-    assert "contradicts its declared prior of 0.242 urad" in said[0]
+    calibration = lt.calibrate(recording, construction="dh", advise=False)
+    assert abs(calibration.estimates[0, at] - 5e-6) < 3 * calibration.sigma[0, at]
+    notes = [note for note in calibration.notes if note.startswith("J1.eX_sin2: ")]
+    assert "contradicts its declared prior of 0.242 urad" in notes[0]
     wider = lt.calibrate(with_prior(recording, J1__eX_sin2=10.0), construction="dh", advise=False)
     assert abs(wider.estimates[0, at] - 5e-6) < 3 * wider.sigma[0, at]
     assert wider.sigma[0, at] < 1e-6

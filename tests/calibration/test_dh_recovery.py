@@ -16,7 +16,7 @@ from ltsim.physics.model.construction import dh_construction
 from tests.networks import network
 
 DETERMINED, FAR, WIDER = 47, 20.0, 100.0
-SEEN = 3.0
+VISIBLE_RATIO = 3.0
 """Prior sigmas: a combination that is known worse cannot be told to be 20 of them off."""
 BUILT = dh_construction()
 SIGMA = np.array([p.prior_sigma for p in BUILT.parameters])
@@ -40,27 +40,29 @@ def wide() -> ParameterSelection:
 @pytest.fixture(scope="module")
 def directions() -> Floats:
     """(78, 47) combinations in prior sigmas, the best determined first."""
-    found = calibrate_network(
+    calibration = calibrate_network(
         network(faces=2, seed=0, construction=BUILT)[0], BUILT, recommend_measurements=False, parameter_selection=wide()
     )
     unit = WIDER * SIGMA
-    left, vectors = np.linalg.eigh(found.covariance / np.outer(unit, unit))
-    assert left[DETERMINED - 1] < 0.9 < left[DETERMINED]
+    eigenvalues, vectors = np.linalg.eigh(calibration.covariance / np.outer(unit, unit))
+    assert eigenvalues[DETERMINED - 1] < 0.9 < eigenvalues[DETERMINED]
     return vectors[:, :DETERMINED]
 
 
 @pytest.mark.parametrize(
     "number", [n if n % 16 == 0 else pytest.param(n, marks=pytest.mark.long) for n in range(DETERMINED)]
 )
-def test_a_combination_far_off_its_prior_is_recovered_and_its_misfit_is_said(directions: Floats, number: int) -> None:
+def test_a_combination_far_off_its_prior_is_recovered_and_its_misfit_is_reported(
+    directions: Floats, number: int
+) -> None:
     injected = FAR * directions[:, number]
     recording = network(faces=2, seed=number, values=injected * SIGMA, construction=BUILT)[0]
-    found = calibrate_network(recording, BUILT, recommend_measurements=False, parameter_selection=wide())
-    error = directions.T @ (found.estimates[0] / SIGMA - injected)
-    spread = directions.T @ (found.covariance / np.outer(SIGMA, SIGMA)) @ directions
+    calibration = calibrate_network(recording, BUILT, recommend_measurements=False, parameter_selection=wide())
+    error = directions.T @ (calibration.estimates[0] / SIGMA - injected)
+    spread = directions.T @ (calibration.covariance / np.outer(SIGMA, SIGMA)) @ directions
     z = error / np.sqrt(np.diag(spread))
     assert abs(z[number]) < 3.9
     assert z @ z < 100.0  # chi-square of 47 combinations, of which one trial in 100,000 would be larger
-    if spread[number, number] < SEEN**2:
-        found = calibrate_network(recording, BUILT, recommend_measurements=False)
-        assert any("contradict" in note for note in found.notes)
+    if spread[number, number] < VISIBLE_RATIO**2:
+        calibration = calibrate_network(recording, BUILT, recommend_measurements=False)
+        assert any("contradict" in note for note in calibration.notes)

@@ -42,10 +42,10 @@ def equation_9(recording, values: np.ndarray, power: int) -> float:
         for a, b in combinations(range(len(recording.stations)), 2):
             total += abs(length(a, k, j) - length(b, k, j)) ** power
     names = recording.targets
-    for known in recording.gauge.distance:
-        k, j = names.index(known.from_), names.index(known.to)
+    for gauge_length in recording.gauge.distance:
+        k, j = names.index(gauge_length.from_), names.index(gauge_length.to)
         for s in range(len(recording.stations)):
-            total += abs(length(s, k, j) - 1e-3 * known.length_mm) ** power
+            total += abs(length(s, k, j) - 1e-3 * gauge_length.length_mm) ** power
     return total
 
 
@@ -83,52 +83,57 @@ def test_derivatives_equal_differences(make, drawn) -> None:
 @pytest.mark.parametrize("method", ["distance", "distance-l1"])
 def test_solution_minimises_what_it_says(make, drawn, method: str) -> None:
     recording = make(drawn(misalignment_construction(), 2, 2))
-    found = calibrate_distance(recording, method=method)
+    calibration = calibrate_distance(recording, method=method)
     power = 2 if method == "distance" else 1
-    least = equation_9(recording, found.estimates[0], power)
-    left = [np.array([c.combination.get(n, 0.0) for n in found.instrument_parameter_names]) for c in found.undetermined]
-    assert left  # one face: some combinations are left alone
+    least = equation_9(recording, calibration.estimates[0], power)
+    combinations = [
+        np.array([c.combination.get(n, 0.0) for n in calibration.instrument_parameter_names])
+        for c in calibration.undetermined
+    ]
+    assert combinations  # one face: some combinations are left alone
     rng = random_stream(3, "push")
     for _ in range(5):
         push = rng.standard_normal(16)
-        for direction in left:
+        for direction in combinations:
             unit = direction / np.linalg.norm(direction)
             push -= unit * (unit @ push)
-        moved = found.estimates[0] + 0.05 * push * found.prior_sigma[0]
+        moved = calibration.estimates[0] + 0.05 * push * calibration.prior_sigma[0]
         assert equation_9(recording, moved, power) > least
 
 
 def test_undetermined_combinations_stay_at_zero_with_their_prior(make) -> None:
-    found = calibrate_distance(make(np.zeros(16)))
-    assert found.undetermined[0].gain < 0.1
-    direction = np.array([found.undetermined[0].combination.get(n, 0.0) for n in found.instrument_parameter_names])
+    calibration = calibrate_distance(make(np.zeros(16)))
+    assert calibration.undetermined[0].gain < 0.1
+    direction = np.array(
+        [calibration.undetermined[0].combination.get(n, 0.0) for n in calibration.instrument_parameter_names]
+    )
     direction /= np.linalg.norm(direction)
-    scaled = found.covariance / np.outer(found.prior_sigma, found.prior_sigma)
+    scaled = calibration.covariance / np.outer(calibration.prior_sigma, calibration.prior_sigma)
     assert direction @ scaled @ direction == pytest.approx(1.0, abs=0.05)
-    assert abs(direction @ (found.estimates[0] / found.prior_sigma[0])) < 0.1
+    assert abs(direction @ (calibration.estimates[0] / calibration.prior_sigma[0])) < 0.1
 
 
 def test_two_faces_determine_what_flips(make, drawn) -> None:
     truth = drawn(misalignment_construction(), 2, 3, share=2.0)
-    found = calibrate_distance(make(truth, faces=(1, 2)))
-    index = found.instrument_parameter_names.index("vertical-index")
-    assert found.sigma[0, index] < 0.2 * found.prior_sigma[0, index]
-    assert abs(found.estimates[0, index] - truth[index]) < 4 * found.sigma[0, index]
-    assert np.all(found.sigma > 0.99 * calibrate_network(make(truth, faces=(1, 2))).sigma)
+    calibration = calibrate_distance(make(truth, faces=(1, 2)))
+    index = calibration.instrument_parameter_names.index("vertical-index")
+    assert calibration.sigma[0, index] < 0.2 * calibration.prior_sigma[0, index]
+    assert abs(calibration.estimates[0, index] - truth[index]) < 4 * calibration.sigma[0, index]
+    assert np.all(calibration.sigma > 0.99 * calibrate_network(make(truth, faces=(1, 2))).sigma)
 
 
 @pytest.mark.parametrize("norm", family(["squares", "absolute"]))
-def test_stated_uncertainty_is_the_spread(make, drawn, norm: str) -> None:
+def test_declared_uncertainty_is_the_spread(make, drawn, norm: str) -> None:
     """Errors of 60 calibrations, normalised by the stated covariance of each."""
     trials = 60
     score, total = [], []
     for trial in range(trials):
         truth = drawn(misalignment_construction(), 6, trial)
         problem = problem_of(make(truth, trial=trial))
-        found = solve_determined_combinations(problem, norm)
-        error = found.unknowns - truth / problem.prior_sigma[0]
-        score.append(error / np.sqrt(np.diag(found.covariance)))
-        total.append(error @ np.linalg.solve(found.covariance, error))
+        combinations = solve_determined_combinations(problem, norm)
+        error = combinations.unknowns - truth / problem.prior_sigma[0]
+        score.append(error / np.sqrt(np.diag(combinations.covariance)))
+        total.append(error @ np.linalg.solve(combinations.covariance, error))
     spread = np.std(score, axis=0)
     # Standard error of a standard deviation: 1/sqrt(2 N) = 0.09; 16 parameters; 4 of them.
     assert np.all(np.abs(spread - 1) < 0.36), spread
@@ -143,10 +148,10 @@ def test_targets_carry_the_uncertainty_of_the_parameters(make, drawn) -> None:
     true = calibrate_network(origin, recommend_measurements=False).target_points
     for trial in range(40):
         recording = make(drawn(misalignment_construction(), 7, trial), trial=trial)
-        found = calibrate_distance(recording, advise=False)
-        sigma = np.sqrt(np.einsum("tii->ti", found.target_covariances))
-        scores.append((found.target_points - true) / sigma)
-        chances.append(found.fit.p_value)
+        calibration = calibrate_distance(recording, advise=False)
+        sigma = np.sqrt(np.einsum("tii->ti", calibration.target_covariances))
+        scores.append((calibration.target_points - true) / sigma)
+        chances.append(calibration.fit.p_value)
         best = calibrate_network(recording, recommend_measurements=False, choose_correction=False).target_covariances
         wider.append(np.all(sigma**2 > 0.99 * np.einsum("tii->ti", best)))
     # Coordinates of one cloud err together: about 20 independent numbers a trial.
@@ -156,7 +161,7 @@ def test_targets_carry_the_uncertainty_of_the_parameters(make, drawn) -> None:
     assert kstest(chances, "uniform").pvalue > 1e-3
 
 
-def test_nothing_to_compare_is_said(make) -> None:
+def test_missing_comparisons_are_reported(make) -> None:
     recording = make(np.zeros(16))
     alone = recording.select(recording.station == 0).replace(setup=Setup())
     with pytest.raises(NetworkError, match="no distance can be compared"):

@@ -37,10 +37,10 @@ def slope(problem: DistanceProblem, unknowns: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("seed", family(range(100), 10))
 def test_the_gradient_of_the_squares_vanishes(seed: int) -> None:
     problem = problem_of(seed)
-    found = solve_all_combinations(problem, "squares")
-    assert found.has_converged
-    assert np.max(np.abs(slope(problem, found.unknowns))) < 1e-7
-    assert found.objective_value < solve_determined_combinations(problem, "squares").objective_value
+    combinations = solve_all_combinations(problem, "squares")
+    assert combinations.has_converged
+    assert np.max(np.abs(slope(problem, combinations.unknowns))) < 1e-7
+    assert combinations.objective_value < solve_determined_combinations(problem, "squares").objective_value
 
 
 def least_subgradient(problem: DistanceProblem, unknowns: np.ndarray) -> float:
@@ -59,12 +59,12 @@ def least_subgradient(problem: DistanceProblem, unknowns: np.ndarray) -> float:
 
 def check_absolute(seed: int) -> None:
     problem = problem_of(seed)
-    found = solve_all_combinations(problem, "absolute")
+    combinations = solve_all_combinations(problem, "absolute")
     truncated = solve_determined_combinations(problem, "absolute")
-    assert found.has_converged
-    assert least_subgradient(problem, found.unknowns) < 1e-6
+    assert combinations.has_converged
+    assert least_subgradient(problem, combinations.unknowns) < 1e-6
     assert least_subgradient(problem, truncated.unknowns) > 1e-4
-    assert found.objective_value < truncated.objective_value
+    assert combinations.objective_value < truncated.objective_value
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -81,16 +81,18 @@ def test_zero_is_a_subgradient_of_the_absolute_values_for_many_seeds(seed: int) 
 @pytest.mark.parametrize("norm", family(["squares", "absolute"]))
 def test_in_a_box_no_unknown_leaves_it_and_nothing_in_it_lies_below(norm: str) -> None:
     problem, box = problem_of(3), 0.8
-    found = solve_all_combinations(problem, norm, bound_in_prior_sigmas=box)
-    assert np.max(np.abs(found.unknowns)) <= box + 1e-9
-    assert np.any(np.abs(found.unknowns) > box - 1e-6)
-    assert found.objective_value >= solve_all_combinations(problem, norm).objective_value
+    combinations = solve_all_combinations(problem, norm, bound_in_prior_sigmas=box)
+    assert np.max(np.abs(combinations.unknowns)) <= box + 1e-9
+    assert np.any(np.abs(combinations.unknowns) > box - 1e-6)
+    assert combinations.objective_value >= solve_all_combinations(problem, norm).objective_value
     rng = np.random.default_rng(1)
     rows = mean_deviation_comparisons if norm == "squares" else pair_difference_comparisons
     for _ in range(20):
-        near = np.clip(found.unknowns + 1e-3 * rng.standard_normal(16), -box, box)
-        left = rows(problem, problem.distances_at(near)).residuals
-        assert (left @ left if norm == "squares" else np.abs(left).sum()) >= found.objective_value * (1 - 1e-9)
+        near = np.clip(combinations.unknowns + 1e-3 * rng.standard_normal(16), -box, box)
+        residuals = rows(problem, problem.distances_at(near)).residuals
+        assert (
+            residuals @ residuals if norm == "squares" else np.abs(residuals).sum()
+        ) >= combinations.objective_value * (1 - 1e-9)
 
 
 def test_both_are_reported() -> None:

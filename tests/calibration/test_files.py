@@ -96,7 +96,7 @@ def test_read_back_is_the_same(calibration, tmp_path: Path) -> None:
         (lambda c: c.update(construction="mirror"), "no construction called 'mirror'"),
     ],
 )
-def test_wrong_files_get_one_sentence(calibration, tmp_path: Path, change, message: str) -> None:
+def test_wrong_files_are_refused_in_a_sentence(calibration, tmp_path: Path, change, message: str) -> None:
     write_calibration(calibration, tmp_path)
     file = tmp_path / "calibration.json"
     content = json.loads(file.read_text())
@@ -108,21 +108,21 @@ def test_wrong_files_get_one_sentence(calibration, tmp_path: Path, change, messa
     assert str(file) in str(caught.value)
 
 
-def test_what_a_file_lacks_is_zero_and_said(calibration, tmp_path: Path) -> None:
+def test_parameters_missing_in_a_file_are_zero_and_reported(calibration, tmp_path: Path) -> None:
     write_calibration(calibration, tmp_path)
     content = json.loads((tmp_path / "calibration.json").read_text())
-    kept = [0, 4]
-    content["parameters"] = [content["parameters"][i] for i in kept]
-    content["covariance"] = [[content["covariance"][i][j] for j in kept] for i in kept]
+    rows = [0, 4]
+    content["parameters"] = [content["parameters"][i] for i in rows]
+    content["covariance"] = [[content["covariance"][i][j] for j in rows] for i in rows]
     (tmp_path / "calibration.json").write_text(json.dumps(content))
-    found = read_calibration(tmp_path)
-    rest = np.setdiff1d(np.arange(16), kept)
-    assert found.instrument_parameter_names == calibration.instrument_parameter_names
-    assert np.allclose(found.estimates[0, kept], calibration.estimates[0, kept], rtol=1e-12)
-    assert np.allclose(found.sigma[0, kept], calibration.sigma[0, kept], rtol=1e-9)
-    assert np.all(found.estimates[0, rest] == 0)
-    assert np.array_equal(found.sigma[0, rest], found.prior_sigma[0, rest])
-    (note,) = found.warnings
+    restored = read_calibration(tmp_path)
+    rest = np.setdiff1d(np.arange(16), rows)
+    assert restored.instrument_parameter_names == calibration.instrument_parameter_names
+    assert np.allclose(restored.estimates[0, rows], calibration.estimates[0, rows], rtol=1e-12)
+    assert np.allclose(restored.sigma[0, rows], calibration.sigma[0, rows], rtol=1e-9)
+    assert np.all(restored.estimates[0, rest] == 0)
+    assert np.array_equal(restored.sigma[0, rest], restored.prior_sigma[0, rest])
+    (note,) = restored.warnings
     assert "14 parameters are not in the file and taken as zero: range-scale, " in note
     assert note.endswith("and 8 more")
 
@@ -131,12 +131,12 @@ def test_a_file_written_by_hand_needs_name_value_and_unit(tmp_path: Path) -> Non
     text = {"format": "ltsim-calibration/1", "construction": "misalignment"}
     rows = [{"name": "beam-tilt", "value": 5.9, "unit": "urad"}]
     (tmp_path / "hand.json").write_text(json.dumps(text | {"parameters": rows}))
-    found = read_calibration(tmp_path / "hand.json")
-    at = found.instrument_parameter_names.index("beam-tilt")
-    assert found.estimates[0, at] == pytest.approx(5.9e-6)
-    assert np.count_nonzero(found.estimates) == 1
-    assert found.sigma[0, at] == found.prior_sigma[0, at]
-    assert "15 parameters" in found.warnings[0]
+    calibration = read_calibration(tmp_path / "hand.json")
+    at = calibration.instrument_parameter_names.index("beam-tilt")
+    assert calibration.estimates[0, at] == pytest.approx(5.9e-6)
+    assert np.count_nonzero(calibration.estimates) == 1
+    assert calibration.sigma[0, at] == calibration.prior_sigma[0, at]
+    assert "15 parameters" in calibration.warnings[0]
 
 
 def test_files_that_are_not_json(tmp_path: Path) -> None:
@@ -159,8 +159,8 @@ def test_nothing_half_written(calibration, tmp_path: Path) -> None:
 def test_corrected_readings_are_those_of_an_ideal_tracker(make, drawn) -> None:
     truth = drawn(misalignment_construction(), 3, 1)
     recording = make(truth, faces=(1, 2), noise=0.0)
-    found = calibrate_network(make(truth, faces=(1, 2)), recommend_measurements=False)
-    exact = found.with_changes(estimates=truth[None], correction=None)
+    calibration = calibrate_network(make(truth, faces=(1, 2)), recommend_measurements=False)
+    exact = calibration.with_changes(estimates=truth[None], correction=None)
     corrected = correct(recording, exact)
     ideal = make(np.zeros(16), faces=(1, 2), noise=0.0)
     assert np.abs(corrected.readings - ideal.readings).max() < 1e-12
@@ -176,39 +176,41 @@ def test_a_row_without_range_is_corrected_where_its_target_is(make, drawn) -> No
     recording = make(truth, faces=(1,))
     readings = recording.readings.copy()
     readings[5, 0] = np.nan
-    found = calibrate_network(recording, recommend_measurements=False)
-    whole, partly = correct(recording, found), correct(recording.with_readings(readings), found)
+    calibration = calibrate_network(recording, recommend_measurements=False)
+    whole, partly = correct(recording, calibration), correct(recording.with_readings(readings), calibration)
     assert np.isnan(partly.readings[5, 0])
     assert np.abs(partly.readings[5, 1:] - whole.readings[5, 1:]).max() < 1e-9
     alone = recording.with_readings(readings).select(recording.station == 0)
     alone = alone.with_readings(np.where(alone.target[:, None] == 5, np.nan, alone.readings))
     alone.readings[5, 1:] = readings[5, 1:]
     with pytest.raises(NetworkError, match="row 6 lacks a range or an angle"):
-        correct(alone, found)
+        correct(alone, calibration)
 
 
-def test_two_instruments_have_their_own_parameters(make, drawn, tmp_path: Path) -> None:
+def test_two_instruments_have_separate_parameters(make, drawn, tmp_path: Path) -> None:
     first, second = drawn(misalignment_construction(), 3, 3), drawn(misalignment_construction(), 3, 4)
-    one, two = make(first, faces=(1, 2), trial=1), make(second, faces=(1, 2), trial=1)
-    later = one.station >= 2
+    first_recording, two = make(first, faces=(1, 2), trial=1), make(second, faces=(1, 2), trial=1)
+    later = first_recording.station >= 2
     setup = Setup(
-        gauge=one.setup.gauge,
+        gauge=first_recording.setup.gauge,
         instruments={"A": Instrument(), "B": Instrument()},
-        stations={name: Station(instrument="AABB"[i]) for i, name in enumerate(one.stations)},
+        stations={name: Station(instrument="AABB"[i]) for i, name in enumerate(first_recording.stations)},
     )
-    both = one.replace(setup=setup, readings=np.where(later[:, None], two.readings, one.readings))
-    found = calibrate_network(both, recommend_measurements=False)
-    assert found.estimates.shape == (2, 16)
+    both = first_recording.replace(
+        setup=setup, readings=np.where(later[:, None], two.readings, first_recording.readings)
+    )
+    calibration = calibrate_network(both, recommend_measurements=False)
+    assert calibration.estimates.shape == (2, 16)
     truth = np.stack([first, second])
-    assert np.abs((found.estimates - truth) / found.sigma).max() < 4.5
-    write_calibration(found, tmp_path)
+    assert np.abs((calibration.estimates - truth) / calibration.sigma).max() < 4.5
+    write_calibration(calibration, tmp_path)
     again = read_calibration(tmp_path)
     assert again.instruments == ("A", "B")
-    assert np.allclose(again.estimates, found.estimates)
+    assert np.allclose(again.estimates, calibration.estimates)
     applied = again.applied_values_for(both)
-    assert np.allclose(applied[later], found.estimates[1])
+    assert np.allclose(applied[later], calibration.estimates[1])
     with pytest.raises(RecordError, match=r"is not in the calibration \(A, B\)"):
-        again.applied_values_for(one)
+        again.applied_values_for(first_recording)
 
 
 def test_adjustment_without_parameters_is_written_too(make, tmp_path: Path) -> None:
@@ -219,16 +221,16 @@ def test_adjustment_without_parameters_is_written_too(make, tmp_path: Path) -> N
     assert read_calibration(tmp_path).estimates.shape == (1, 0)
 
 
-def test_outliers_are_listed_and_gross_rows_left_out(make) -> None:
+def test_outliers_are_listed_and_gross_rows_excluded(make) -> None:
     recording = make(np.zeros(16), faces=(1, 2))
     readings = recording.readings.copy()
     readings[16, 0] += 80e-6
     swap = readings[[3, 4]]
     readings[[3, 4]] = swap[::-1]
-    found = calibrate_network(recording.with_readings(readings), recommend_measurements=False)
-    gross = {(o.row, o.pointing_excluded) for o in found.outliers if o.pointing_excluded}
+    calibration = calibrate_network(recording.with_readings(readings), recommend_measurements=False)
+    gross = {(o.row, o.pointing_excluded) for o in calibration.outliers if o.pointing_excluded}
     assert gross == {(4, True), (5, True)}
-    single = next(o for o in found.outliers if not o.pointing_excluded)
+    single = next(o for o in calibration.outliers if not o.pointing_excluded)
     assert (single.row, single.station, single.observable, single.unit) == (17, "S1", "distance", "mm")
     assert single.size == pytest.approx(0.08, abs=0.02)
 
@@ -245,15 +247,15 @@ def test_amplitude_and_phase() -> None:
 
 
 def test_harmonics_of_a_calibration(calibration) -> None:
-    found = {h.name: h for h in calibration.harmonics}
-    assert set(found) == {
+    harmonics_by_name = {h.name: h for h in calibration.harmonics}
+    assert set(harmonics_by_name) == {
         "azimuth-eccentricity",
         "azimuth-second-order",
         "elevation-eccentricity",
         "elevation-second-order",
     }
     at = calibration.instrument_parameter_names.index("azimuth-eccentricity-cos")
-    wave = found["azimuth-eccentricity"]
+    wave = harmonics_by_name["azimuth-eccentricity"]
     amplitude = 1e-6 * wave.amplitude
     assert wave.unit == "urad"
     assert amplitude == pytest.approx(np.hypot(*calibration.estimates[0, at : at + 2]))

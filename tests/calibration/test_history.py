@@ -32,9 +32,9 @@ FIT = FitEntry(chi2=1, dof=1, sigma0=1, p_value=0.5, iterations=1, status="")
 
 def estimate(truth, design, rng, prior=PRIOR):
     """A calibration as an adjustment would give it: design rows of unit weight, priors centred at zero."""
-    told = design.T @ (design @ truth + rng.standard_normal(len(design)))
+    vector = design.T @ (design @ truth + rng.standard_normal(len(design)))
     covariance = np.linalg.inv(design.T @ design + np.diag(prior**-2))
-    arrays = CalibrationArrays(CONSTRUCTION, ("",), (covariance @ told)[None], prior[None], covariance)
+    arrays = CalibrationArrays(CONSTRUCTION, ("",), (covariance @ vector)[None], prior[None], covariance)
     return Calibration.from_arrays(arrays, method="network", fit=FIT)
 
 
@@ -50,7 +50,7 @@ def labelled(calibrations):
     return [(f"c{i}", c) for i, c in enumerate(calibrations)]
 
 
-def test_an_unchanged_instrument_passes_at_the_stated_rate():
+def test_an_unchanged_instrument_passes_at_the_declared_rate():
     joint, single, constant = [], [], []
     for trial in range(150):
         rng = random_stream(1, "unchanged", trial)
@@ -75,7 +75,7 @@ def test_what_no_reading_touches_is_neither_changed_nor_counted():
     assert history.population.between_calibration_sigma[:SILENT] == pytest.approx(PRIOR[:SILENT])
 
 
-def test_a_changed_parameter_is_found_and_named():
+def test_a_changed_parameter_is_detected_and_named():
     rng = random_stream(3, "changed")
     truth = PRIOR * rng.standard_normal(SIZE)
     later = truth.copy()
@@ -95,7 +95,7 @@ def test_a_changed_parameter_is_found_and_named():
 
 
 @pytest.mark.long
-def test_three_calibrations_do_not_look_more_alike_than_they_are():
+def test_three_calibrations_do_not_look_more_similar_than_they_are():
     """The restricted likelihood: the spread about a mean that is found from the same calibrations, unbiased."""
     rng, ratios = random_stream(9, "few"), []
     for _ in range(40):
@@ -112,14 +112,14 @@ def test_the_population_is_recovered_and_improves_a_new_calibration():
     truths = mean + spread * rng.standard_normal((41, SIZE))
     calibrations = [estimate(t, d, rng) for t, d in zip(truths, designs(rng, 41), strict=True)]
     history = CalibrationSeries.from_labelled(labelled(calibrations[:40]))
-    told = slice(SILENT, SIZE - 2)
-    found = history.population
-    assert np.abs((found.mean - mean) / PRIOR)[told] == pytest.approx(0.0, abs=0.25)
-    assert found.between_calibration_sigma[told][1::2] / PRIOR[told][1::2] == pytest.approx(0.02, abs=0.1)
-    assert found.between_calibration_sigma[told][::2] / PRIOR[told][::2] == pytest.approx(0.5, abs=0.25)
+    section = slice(SILENT, SIZE - 2)
+    population = history.population
+    assert np.abs((population.mean - mean) / PRIOR)[section] == pytest.approx(0.0, abs=0.25)
+    assert population.between_calibration_sigma[section][1::2] / PRIOR[section][1::2] == pytest.approx(0.02, abs=0.1)
+    assert population.between_calibration_sigma[section][::2] / PRIOR[section][::2] == pytest.approx(0.5, abs=0.25)
     errors = np.array([history.with_population_prior(c).estimates[0] - truths[40] for c in calibrations[40:]])
     alone = np.array([c.estimates[0] - truths[40] for c in calibrations[40:]])
-    assert np.sum((errors / PRIOR)[:, told] ** 2) < 0.7 * np.sum((alone / PRIOR)[:, told] ** 2)
+    assert np.sum((errors / PRIOR)[:, section] ** 2) < 0.7 * np.sum((alone / PRIOR)[:, section] ** 2)
 
 
 def test_json_holds_every_test_in_the_units_of_a_person():
@@ -154,10 +154,10 @@ def test_what_moves_from_day_to_day_is_no_event():
 def test_a_blow_stands_out_and_is_dated():
     for trial in range(2):
         history = walked(trial, blow=12.0)
-        found, size = significant_parameter_steps(history), PRIOR[6] / CONSTRUCTION.parameters[6].si_per_display_unit
-        assert [(event.from_, event.name) for event in found] == [("c7", CONSTRUCTION.parameter_names[6])]
-        assert found[0].difference == pytest.approx(12.0 * size, rel=0.25)
-        assert found[0].usual_step_sigma == pytest.approx(0.7 * size, rel=0.5)
+        steps, size = significant_parameter_steps(history), PRIOR[6] / CONSTRUCTION.parameters[6].si_per_display_unit
+        assert [(event.from_, event.name) for event in steps] == [("c7", CONSTRUCTION.parameter_names[6])]
+        assert steps[0].difference == pytest.approx(12.0 * size, rel=0.25)
+        assert steps[0].usual_step_sigma == pytest.approx(0.7 * size, rel=0.5)
         entry = History.from_series(history).events[0]
         assert (entry.from_, entry.to, entry.unit) == ("c7", "c8", CONSTRUCTION.parameters[6].unit)
 
@@ -185,8 +185,8 @@ def test_half_a_year_may_move_what_a_day_may_not():
 
 
 def test_a_blow_between_two_days_stands_out_of_a_wandering_instrument():
-    found = significant_parameter_steps(wandered(0, blow=12.0))
-    assert [(event.from_, event.name) for event in found] == [("c6", CONSTRUCTION.parameter_names[6])]
+    steps = significant_parameter_steps(wandered(0, blow=12.0))
+    assert [(event.from_, event.name) for event in steps] == [("c6", CONSTRUCTION.parameter_names[6])]
 
 
 @pytest.mark.parametrize(
@@ -211,7 +211,7 @@ def test_few_calibrations_tell_no_event():
     assert not significant_parameter_steps(history)
 
 
-def test_one_calibration_alone_is_refused():
+def test_a_single_calibration_is_refused():
     rng = random_stream(6, "refused")
     calibration = estimate(np.zeros(SIZE), designs(rng, 1)[0], rng)
     with pytest.raises(RecordError, match="at least two"):

@@ -32,15 +32,15 @@ def with_modes(seed: int) -> Recording:
 
 
 @pytest.mark.long
-def test_a_range_zero_a_mode_is_estimated_and_told(tmp_path: Path) -> None:
+def test_a_range_zero_for_each_mode_is_estimated_and_reported(tmp_path: Path) -> None:
     write_recording(with_modes(8), tmp_path)
-    found = calibrate_network(read_recording(tmp_path))
-    assert found.adjustment is not None
-    sigma = float(np.sqrt(found.adjustment.effect_covariance[0, 0]))
-    assert found.adjustment.state.extra_parameters[0] == pytest.approx(STEP, abs=4 * sigma)
-    assert found.fit.p_value is not None and found.fit.p_value > 1e-3
-    assert "range-mode" in found.notes[0]
-    assert write_calibration(found, tmp_path / "out") is not None
+    calibration = calibrate_network(read_recording(tmp_path))
+    assert calibration.adjustment is not None
+    sigma = float(np.sqrt(calibration.adjustment.effect_covariance[0, 0]))
+    assert calibration.adjustment.state.extra_parameters[0] == pytest.approx(STEP, abs=4 * sigma)
+    assert calibration.fit.p_value is not None and calibration.fit.p_value > 1e-3
+    assert "range-mode" in calibration.notes[0]
+    assert write_calibration(calibration, tmp_path / "out") is not None
 
 
 @pytest.mark.long
@@ -49,13 +49,13 @@ def test_the_diagnosis_names_the_mode() -> None:
     assert (first.effect, first.where.covariates) == ("range-mode", ("distance_mode",))
 
 
-def test_one_mode_has_one_zero() -> None:
+def test_a_single_mode_has_a_single_zero() -> None:
     recording, _ = network(seed=2)
-    one = recording.replace(labels={"distance_mode": ("ifm",) * len(recording)})
-    assert "distance_mode" not in one.regressor_covariates
+    interferometer = recording.replace(labels={"distance_mode": ("ifm",) * len(recording)})
+    assert "distance_mode" not in interferometer.regressor_covariates
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("calibrate", [lt.adjust, partial(calibrate_distance, advise=False)])
-def test_what_assumes_one_zero_for_both_says_so(calibrate: Callable[[Recording], Calibration]) -> None:
+def test_functions_that_assume_a_common_zero_report_it(calibrate: Callable[[Recording], Calibration]) -> None:
     assert "one range zero assumed for both" in calibrate(with_modes(8)).notes[0]

@@ -29,36 +29,38 @@ from tests.families import family
 
 def test_without_noise_only_the_priors_pull(make, drawn) -> None:
     truth = drawn(misalignment_construction(), 1, 0)
-    found = calibrate_network(make(truth, faces=(1, 2), noise=0.0))
-    assert found.fit.status == "converged"
+    calibration = calibrate_network(make(truth, faces=(1, 2), noise=0.0))
+    assert calibration.fit.status == "converged"
     # A linear estimator with priors falls short of the truth by C P x exactly, and by nothing else.
-    pulled = -found.covariance @ (truth / found.prior_sigma[0] ** 2)
-    assert np.allclose((found.estimates[0] - truth) / found.sigma[0], pulled / found.sigma[0], atol=0.01)
+    pulled = -calibration.covariance @ (truth / calibration.prior_sigma[0] ** 2)
+    assert np.allclose(
+        (calibration.estimates[0] - truth) / calibration.sigma[0], pulled / calibration.sigma[0], atol=0.01
+    )
 
 
 def test_calibration_improves_the_criteria_and_an_adjustment_has_no_parameters(make, drawn) -> None:
     recording = make(drawn(misalignment_construction(), 1, 1, share=2.0))
-    found = calibrate_network(recording)
+    calibration = calibrate_network(recording)
     plain = lt.adjust(recording)
-    assert found.criteria is not None
-    assert found.criteria.distance.improvement_percent > 40
+    assert calibration.criteria is not None
+    assert calibration.criteria.distance.improvement_percent > 40
     assert plain.instrument_parameter_names == ()
-    assert plain.fit.chi2 > 2 * found.fit.chi2
+    assert plain.fit.chi2 > 2 * calibration.fit.chi2
     assert plain.criteria is not None
     assert plain.criteria.distance.after is None
-    assert 0.8 < found.fit.sigma0 < 1.2
+    assert 0.8 < calibration.fit.sigma0 < 1.2
 
 
-def test_one_face_leaves_the_vertical_group_and_two_faces_are_the_cure(make, drawn) -> None:
+def test_a_single_face_leaves_the_vertical_group_undetermined_and_two_faces_determine_it(make, drawn) -> None:
     truth = drawn(misalignment_construction(), 1, 2)
-    one, two = calibrate_network(make(truth)), calibrate_network(make(truth, faces=(1, 2)))
-    worst = one.undetermined[0]
+    calibration, two = calibrate_network(make(truth)), calibrate_network(make(truth, faces=(1, 2)))
+    worst = calibration.undetermined[0]
     assert worst.gain < 0.1
     assert {"vertical-index", "elevation-eccentricity-cos"} <= set(worst.combination)
     assert "both faces" in worst.cure
-    assert len(two.undetermined) < len(one.undetermined)
+    assert len(two.undetermined) < len(calibration.undetermined)
     # The promise holds: along that combination the two-face recording has the gain that the cure named.
-    direction = np.array([worst.combination.get(name, 0.0) for name in one.instrument_parameter_names])
+    direction = np.array([worst.combination.get(name, 0.0) for name in calibration.instrument_parameter_names])
     direction /= np.linalg.norm(direction)
     scaled = two.covariance / np.outer(two.prior_sigma, two.prior_sigma)
     promised = float(worst.cure.rsplit(" to ", 1)[1].rstrip(" %)")) / 100
@@ -74,8 +76,8 @@ def test_hypothetical_network_starts_from_the_real_covariance(make, drawn) -> No
 
 
 def test_null_space_of_the_paper_chain_is_named(make) -> None:
-    found = calibrate_network(make(np.zeros(16), faces=(1, 2)), dh_construction())
-    silent = [c for c in found.undetermined if c.gain < 1e-6]
+    calibration = calibrate_network(make(np.zeros(16), faces=(1, 2)), dh_construction())
+    silent = [c for c in calibration.undetermined if c.gain < 1e-6]
     alone = {next(iter(c.combination)) for c in silent if len(c.combination) == 1}
     without_effect = {f"J2.eZ_{s}" for s in ("c", "sin", "cos", "sin2", "cos2")}
     without_effect |= {f"T.e{axis}_{k}" for axis in "XYZ" for k in range(3)}
@@ -95,9 +97,9 @@ def test_gains_are_shares_of_the_prior_variance() -> None:
     prior = np.array([2.0, 1.0, 3.0])
     covariance = np.diag(prior**2 * [1.0, 0.04, 0.6])
     assert np.allclose(gains_and_combinations(covariance, prior)[0], [0.0, 0.4, 0.96])
-    found = undetermined_combinations(covariance, prior)
-    assert [list(d.coefficients(("a", "b", "c"))) for d in found] == [["a"], ["c"]]
-    assert found[1].gain == pytest.approx(0.4)
+    combinations = undetermined_combinations(covariance, prior)
+    assert [list(d.coefficients(("a", "b", "c"))) for d in combinations] == [["a"], ["c"]]
+    assert combinations[1].gain == pytest.approx(0.4)
 
 
 def test_simple_rotation_undoes_a_mixture() -> None:
@@ -126,8 +128,8 @@ def test_inner_constraints_equal_the_pseudo_inverse(make, drawn) -> None:
     rest = np.setdiff1d(np.arange(unknowns.n_columns), at)
     scale = np.linalg.norm(rows, axis=0)
     scaled = rows / scale
-    left, spread, _ = np.linalg.svd(scaled[:, rest], full_matrices=False)
-    basis = left[:, spread > 1e-9 * spread[0]]
+    range_basis, spread, _ = np.linalg.svd(scaled[:, rest], full_matrices=False)
+    basis = range_basis[:, spread > 1e-9 * spread[0]]
     free = (scaled[:, at] - basis @ (basis.T @ scaled[:, at])) * scale[at]
     dense = np.linalg.pinv(free.T @ free, rcond=1e-10, hermitian=True)
     inner = joint_covariance(adjustment)
@@ -153,34 +155,34 @@ def test_inner_constraints_over_chosen_targets(make, drawn) -> None:
         adjustment.with_inner_datum(names[:2])
 
 
-def test_a_range_offset_of_six_prior_sigmas_is_estimated_as_it_is_and_told(make, drawn) -> None:
+def test_a_range_offset_of_six_prior_sigmas_is_estimated_as_it_is_and_reported(make, drawn) -> None:
     at, off, others = misalignment_construction().parameter_names.index("range-offset"), [], 0
     for seed in range(6):
         truth = drawn(misalignment_construction(), 26, seed)
         truth[at] = 60e-6
-        found = calibrate_network(make(truth, faces=(1, 2), trial=seed), recommend_measurements=False)
-        told = [note for note in found.notes if "contradict" in note]
-        assert told[0].startswith("range-offset: ")
-        assert "declared prior of 10 um: the readings determine the estimate" in told[0]
-        assert found.sigma[0, at] < 5e-6
-        off.append((found.estimates[0, at] - 60e-6) / found.sigma[0, at])
-        others += len(told) - 1
+        calibration = calibrate_network(make(truth, faces=(1, 2), trial=seed), recommend_measurements=False)
+        notes = [note for note in calibration.notes if "contradict" in note]
+        assert notes[0].startswith("range-offset: ")
+        assert "declared prior of 10 um: the readings determine the estimate" in notes[0]
+        assert calibration.sigma[0, at] < 5e-6
+        off.append((calibration.estimates[0, at] - 60e-6) / calibration.sigma[0, at])
+        others += len(notes) - 1
     assert np.sum(np.abs(off) > 2.0) <= 1
     assert abs(np.mean(off)) < 0.7
     assert others <= 1
 
 
-def test_constants_of_the_stated_size_contradict_nothing(make, drawn) -> None:
+def test_constants_of_the_declared_size_contradict_nothing(make, drawn) -> None:
     for seed in range(5):
-        found = calibrate_network(
+        calibration = calibrate_network(
             make(drawn(misalignment_construction(), 27, seed), trial=seed), recommend_measurements=False
         )
-        assert not [note for note in found.notes if "contradict" in note]
+        assert not [note for note in calibration.notes if "contradict" in note]
 
 
-def test_a_scale_of_two_corrected_trackers_is_found_under_noise_that_is_stated_too_large(make, points) -> None:
+def test_a_scale_of_two_corrected_trackers_is_detected_under_noise_that_is_declared_too_large(make, points) -> None:
     """A correction leaves 0.3 of the guarantee; the noise is told by the readings where they scatter less."""
-    scale, found = misalignment_construction().parameter_names.index("range-scale"), []
+    scale, estimates = misalignment_construction().parameter_names.index("range-scale"), []
     ends = [(k, k + 12) for k in range(12)]
     lengths = [1e3 * float(np.linalg.norm(points[a] - points[b])) for a, b in ends]
     walls = [
@@ -193,36 +195,43 @@ def test_a_scale_of_two_corrected_trackers_is_found_under_noise_that_is_stated_t
         recording = make(values, trial=seed)
         noise = recording.setup.instrument.noise
         noise = noise.model_copy(update={k: 3 * v for k, v in noise.model_dump().items()})
-        own = {name: Instrument(corrected=True, noise=noise) for name in "AB"}
+        instruments = {name: Instrument(corrected=True, noise=noise) for name in "AB"}
         stations = {s: Station(instrument="AB"[k % 2]) for k, s in enumerate(recording.stations)}
         setup = recording.setup.model_copy(
-            update={"instruments": own, "stations": stations, "gauge": LengthGauge(distance=tuple(walls))}
+            update={"instruments": instruments, "stations": stations, "gauge": LengthGauge(distance=tuple(walls))}
         )
-        one = calibrate_network(recording.replace(setup=setup), recommend_measurements=False)
-        assert one.arrays.is_prior_rejected.sum(axis=0)[scale] == 2
-        assert one.arrays.is_prior_rejected.sum() == 2
-        assert np.max(one.prior_sigma[:, scale]) == pytest.approx(0.6e-6)
-        assert sum("leaves errors of 0.6 ppm: the readings determine the estimate" in note for note in one.notes) == 2
-        assert [round(3 * n.factor) for n in one.noise] == [1, 1, 1]
-        found.append((one.estimates[:, scale] - 12e-6) / one.sigma[:, scale])
-    assert np.sqrt(np.mean(np.square(found))) < 1.8
+        calibration = calibrate_network(recording.replace(setup=setup), recommend_measurements=False)
+        assert calibration.arrays.is_prior_rejected.sum(axis=0)[scale] == 2
+        assert calibration.arrays.is_prior_rejected.sum() == 2
+        assert np.max(calibration.prior_sigma[:, scale]) == pytest.approx(0.6e-6)
+        assert (
+            sum("leaves errors of 0.6 ppm: the readings determine the estimate" in note for note in calibration.notes)
+            == 2
+        )
+        assert [round(3 * n.factor) for n in calibration.noise] == [1, 1, 1]
+        estimates.append((calibration.estimates[:, scale] - 12e-6) / calibration.sigma[:, scale])
+    assert np.sqrt(np.mean(np.square(estimates))) < 1.8
 
 
-def test_a_constant_that_the_readings_hardly_see_contradicts_nothing_where_one_that_they_see_does() -> None:
+def test_a_nearly_unobservable_constant_contradicts_nothing_where_an_observable_constant_does() -> None:
     """Two changes of five sigmas: of 35 and of 2.5 times what was known of the constant, by a mixture of normals."""
     odds = log_odds_of_changed_constants(np.full(2, 5.0), np.array([7.0, 0.5]) ** -2.0, 48)
     assert odds[0] < 0.0 < odds[1]
-    for own, weight in zip(odds, (7.0**-2, 0.5**-2), strict=True):
+    for log_odds, weight in zip(odds, (7.0**-2, 0.5**-2), strict=True):
         spreads = np.sqrt([1.0 + weight * size**2 for size in PRIOR_BY_RELATIVE_EFFECT_SIZE])
         changed = np.sum(np.array(list(PRIOR_BY_RELATIVE_EFFECT_SIZE.values())) * stats.norm.pdf(5.0, scale=spreads))
-        assert own == pytest.approx(np.log(PRIOR_OF_WRONG_INSTRUMENT_CONSTANT / 48 * changed / stats.norm.pdf(5.0)))
+        assert log_odds == pytest.approx(
+            np.log(PRIOR_OF_WRONG_INSTRUMENT_CONSTANT / 48 * changed / stats.norm.pdf(5.0))
+        )
 
 
-def test_a_stated_prior_holds_for_a_corrected_instrument_too(make) -> None:
+def test_a_declared_prior_holds_for_a_corrected_instrument_too(make) -> None:
     recording = make(np.zeros(16))
-    own = Instrument(corrected=True, prior=Prior(parameters={"beam-tilt": 3.0}))
-    found = calibrate_network(recording.replace(setup=recording.setup.model_copy(update={"instrument": own})))
-    sizes = dict(zip(found.instrument_parameter_names, found.prior_sigma[0], strict=True))
+    instrument = Instrument(corrected=True, prior=Prior(parameters={"beam-tilt": 3.0}))
+    calibration = calibrate_network(
+        recording.replace(setup=recording.setup.model_copy(update={"instrument": instrument}))
+    )
+    sizes = dict(zip(calibration.instrument_parameter_names, calibration.prior_sigma[0], strict=True))
     assert sizes["beam-tilt"] == pytest.approx(3e-6)
     assert sizes["range-offset"] == pytest.approx(3e-6)
 
@@ -230,9 +239,9 @@ def test_a_stated_prior_holds_for_a_corrected_instrument_too(make) -> None:
 @pytest.mark.parametrize("seed", family([2, 12, 17]))
 def test_errors_of_an_uncalibrated_instrument_move_no_station_in_a_plain_adjustment(seed: int) -> None:
     recording, _ = lt.simulate("paper-workshop", seed=seed)
-    found = lt.adjust(recording)
-    assert found.verdict is not None
-    assert "moves during its occupation" not in found.verdict.sentence
+    adjustment = lt.adjust(recording)
+    assert adjustment.verdict is not None
+    assert "moves during its occupation" not in adjustment.verdict.sentence
     rows = recording.station == 2
     share = (recording.time[rows] - recording.time[rows].min()) / np.ptp(recording.time[rows])
     readings, sunk = recording.readings.copy(), from_polar(recording.readings[rows])

@@ -28,27 +28,27 @@ def two_face_gap(recording: Recording) -> float:
     gaps = []
     for target in range(len(recording.targets)):
         rows = recording.target == target
-        one, two = (points[rows & (recording.face == face)] for face in (1, 2))
-        if len(one) and len(two):
-            gaps.append(one.mean(axis=0) - two.mean(axis=0))
+        face_points, two = (points[rows & (recording.face == face)] for face in (1, 2))
+        if len(face_points) and len(two):
+            gaps.append(face_points.mean(axis=0) - two.mean(axis=0))
     return float(np.sqrt(np.mean(np.sum(np.square(gaps), axis=1))))
 
 
 @pytest.mark.parametrize(("learned", "applied"), [(0, 1), (1, 0)])
 def test_parameters_carry_over_to_the_other_set_up(epoch: Recording, learned: int, applied: int) -> None:
-    found = calibrate_network(epoch.select(epoch.station == learned), recommend_measurements=False)
-    assert found.fit.status == "converged"
+    calibration = calibrate_network(epoch.select(epoch.station == learned), recommend_measurements=False)
+    assert calibration.fit.status == "converged"
     other = epoch.select(epoch.station == applied)
-    before, after = two_face_gap(other), two_face_gap(correct(other, found))
+    before, after = two_face_gap(other), two_face_gap(correct(other, calibration))
     assert after < 0.5 * before, f"{1e6 * before:.1f} um before, {1e6 * after:.1f} um after"
 
 
 @pytest.mark.long
 def test_whole_epoch_gives_parameters_with_uncertainty(epoch: Recording) -> None:
-    found = calibrate_network(epoch)
-    tilt = found.instrument_parameter_names.index("beam-tilt")
-    assert found.sigma[0, tilt] < 0.1 * found.prior_sigma[0, tilt]
-    assert any("range-scale" in c.combination for c in found.undetermined)
+    calibration = calibrate_network(epoch)
+    tilt = calibration.instrument_parameter_names.index("beam-tilt")
+    assert calibration.sigma[0, tilt] < 0.1 * calibration.prior_sigma[0, tilt]
+    assert any("range-scale" in c.combination for c in calibration.undetermined)
 
 
 @pytest.mark.long
@@ -64,10 +64,12 @@ def test_from_the_first_set_up_to_the_second_of_every_epoch_by_default(shared: P
     removed = []
     for file in files:
         whole = read(file, hints=Hints(azimuth="clockwise"))
-        found = calibrate_network(whole.select(whole.station == 0), recommend_measurements=False)
+        calibration = calibrate_network(whole.select(whole.station == 0), recommend_measurements=False)
         other = whole.select(whole.station == 1)
-        left = two_face_pairs(other, found.construction, found.applied_values[0]).rms_half_differences
-        removed.append(1.0 - left / two_face_pairs(other).rms_half_differences)
+        remaining_gap = two_face_pairs(
+            other, calibration.construction, calibration.applied_values[0]
+        ).rms_half_differences
+        removed.append(1.0 - remaining_gap / two_face_pairs(other).rms_half_differences)
     across, elevation = np.median(removed, axis=0)[1:]
     assert across > 0.813
     assert elevation > 0.62

@@ -48,7 +48,7 @@ def expanded(table: object, names: list[str], columns: str) -> np.ndarray:
     return table.set_index("target").loc[names][columns.split()].to_numpy(float)  # type: ignore[attr-defined]
 
 
-def test_the_measured_uncertainty_is_the_planned_one(hall: Path) -> None:
+def test_the_measured_uncertainty_is_the_planned_uncertainty(hall: Path) -> None:
     plan = lt.read(hall / "plan")
     assert any("air" in reason for reason in plan.reasons)
     names = [r.name for r in plan.reflectors]
@@ -91,33 +91,37 @@ def test_a_rejected_fit_has_larger_standard_deviations_everywhere(plain: lt.Reco
     drift = plain.readings.copy()
     late = plain.station == 2
     drift[late, 2] += 3e-5 * np.sin(np.linspace(0.0, 9.0, late.sum()))
-    found = lt.calibrate(plain.with_readings(drift), advise=False)
-    assert found.uncertainty_factor == pytest.approx(found.fit.sigma0)
-    assert found.uncertainty_factor > 1.1
-    adjustment = found.adjustment
-    np.testing.assert_allclose(found.target_covariances, found.fit.sigma0**2 * adjustment.target_covariances, rtol=1e-9)
+    calibration = lt.calibrate(plain.with_readings(drift), advise=False)
+    assert calibration.uncertainty_factor == pytest.approx(calibration.fit.sigma0)
+    assert calibration.uncertainty_factor > 1.1
+    adjustment = calibration.adjustment
     np.testing.assert_allclose(
-        found.stations[1].sigma_position, found.fit.sigma0 * np.sqrt(np.diag(adjustment.pose_covariance[1])[:3])
+        calibration.target_covariances, calibration.fit.sigma0**2 * adjustment.target_covariances, rtol=1e-9
     )
-    before, after = np.sqrt(np.diag(adjustment.covariance_of_all_instruments)), found.sigma.ravel()
+    np.testing.assert_allclose(
+        calibration.stations[1].sigma_position,
+        calibration.fit.sigma0 * np.sqrt(np.diag(adjustment.pose_covariance[1])[:3]),
+    )
+    before, after = np.sqrt(np.diag(adjustment.covariance_of_all_instruments)), calibration.sigma.ravel()
     assert np.all(after > before)
     assert np.all(
-        after <= np.minimum(found.fit.sigma0 * before, found.arrays.effective_prior_sigma.ravel()) * (1 + 1e-9)
+        after
+        <= np.minimum(calibration.fit.sigma0 * before, calibration.arrays.effective_prior_sigma.ravel()) * (1 + 1e-9)
     )
-    lt.write(found, tmp_path)
+    lt.write(calibration, tmp_path)
     joint = read_coordinates(tmp_path / "targets.csv").covariance
     assert (tmp_path / COVARIANCE_FILE_NAME).is_file()
-    np.testing.assert_allclose(joint[:3, :3], found.target_covariances[0], rtol=1e-5)
-    assert "multiplied by sigma0" in str(found)
-    assert lt.read(tmp_path).fit.sigma0 == pytest.approx(found.fit.sigma0)
+    np.testing.assert_allclose(joint[:3, :3], calibration.target_covariances[0], rtol=1e-5)
+    assert "multiplied by sigma0" in str(calibration)
+    assert lt.read(tmp_path).fit.sigma0 == pytest.approx(calibration.fit.sigma0)
 
 
 def test_an_adjustment_says_that_the_instrument_is_still_in_its_coordinates(plain: lt.Recording) -> None:
-    found = lt.adjust(plain)
-    assert found.fit_with_constants is not None
-    assert found.fit_with_constants.p_value > 0.01 > found.fit.p_value
-    assert not found.constants_included
-    assert "the instrument constants were not estimated" in str(found)
+    adjustment = lt.adjust(plain)
+    assert adjustment.fit_with_constants is not None
+    assert adjustment.fit_with_constants.p_value > 0.01 > adjustment.fit.p_value
+    assert not adjustment.constants_included
+    assert "the instrument constants were not estimated" in str(adjustment)
     corrected = lt.correct(plain, lt.calibrate(plain, advise=False))
     again = lt.adjust(corrected)
     assert again.fit_with_constants is None

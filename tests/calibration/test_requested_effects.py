@@ -38,25 +38,28 @@ def drifting() -> Recording:
 
 
 @pytest.mark.parametrize("wanted", family(["index-drift", "index-drift:S3,law=visit", "index-drift:S3"], 2))
-def test_an_effect_is_found_with_its_uncertainty_where_and_how_it_acts(drifting: Recording, wanted: str) -> None:
-    plain, found = lt.calibrate(drifting, advise=False), lt.calibrate(drifting, with_effects=[wanted], advise=False)
-    (effect,) = found.effects
+def test_an_effect_is_estimated_with_its_uncertainty_where_and_how_it_acts(drifting: Recording, wanted: str) -> None:
+    plain, calibration = (
+        lt.calibrate(drifting, advise=False),
+        lt.calibrate(drifting, with_effects=[wanted], advise=False),
+    )
+    (effect,) = calibration.effects
     assert (effect.effect, effect.place_text, effect.n_distinguishable_parameters) == ("index-drift", "S3", 1)
     rate, law = effect.parameters
     assert rate.unit == "urad/h" and law.value == "visit"
     assert isinstance(rate.value, float) and rate.sigma is not None
     assert abs(rate.value - 1e6 * 3600 * RATE) < 4 * rate.sigma < 0.5 * rate.value
-    assert effect.chi2_drop == pytest.approx(plain.fit.chi2 - found.fit.chi2)
+    assert effect.chi2_drop == pytest.approx(plain.fit.chi2 - calibration.fit.chi2)
     assert effect.p_value < 1e-6
     assert effect.n_candidates == (1 if "law" in wanted else effect.n_candidates)
-    assert "chi-square falls by" in str(found)
+    assert "chi-square falls by" in str(calibration)
 
 
-def test_it_is_kept_in_the_file(drifting: Recording, tmp_path: Path) -> None:
-    found = lt.calibrate(drifting, with_effects=["index-drift:S3", "range-cyclic"], advise=False)
-    write_calibration(found, tmp_path / "cal")
-    assert read_calibration(tmp_path / "cal").effects == found.effects
-    wavelength = found.effects[1].parameters[-1]
+def test_requested_effects_are_stored_in_the_file(drifting: Recording, tmp_path: Path) -> None:
+    calibration = lt.calibrate(drifting, with_effects=["index-drift:S3", "range-cyclic"], advise=False)
+    write_calibration(calibration, tmp_path / "cal")
+    assert read_calibration(tmp_path / "cal").effects == calibration.effects
+    wavelength = calibration.effects[1].parameters[-1]
     assert (wavelength.name, wavelength.unit) == ("wavelength", "mm") and wavelength.sigma is not None
 
 
@@ -65,8 +68,8 @@ def test_a_law_is_fitted_in_the_words_of_a_diagnosis(drifting: Recording, tmp_pa
         lt.calibrate(drifting, advise=False),
         lt.calibrate(drifting, with_effects=["index-drift:S3,law=visit"]),
     )
-    found = lt.calibrate(drifting, with_effects=["vertical index ~ station-time:S3"], advise=False)
-    (law,), (effect,) = found.effects, named.effects
+    calibration = lt.calibrate(drifting, with_effects=["vertical index ~ station-time:S3"], advise=False)
+    (law,), (effect,) = calibration.effects, named.effects
     assert (law.effect, law.place_text, law.n_distinguishable_parameters, law.n_candidates) == (
         "vertical index ~ station-time",
         "S3",
@@ -78,19 +81,19 @@ def test_a_law_is_fitted_in_the_words_of_a_diagnosis(drifting: Recording, tmp_pa
     assert swing.name == "swing" and swing.unit == "urad" and swing.sigma is not None and rate.sigma is not None
     assert abs(swing.value) == pytest.approx(abs(rate.value) * hours, rel=1e-3)
     assert swing.sigma == pytest.approx(rate.sigma * hours, rel=1e-3)
-    assert law.chi2_drop == pytest.approx(plain.fit.chi2 - found.fit.chi2)
-    write_calibration(found, tmp_path / "cal")
-    assert read_calibration(tmp_path / "cal").effects == found.effects
+    assert law.chi2_drop == pytest.approx(plain.fit.chi2 - calibration.fit.chi2)
+    write_calibration(calibration, tmp_path / "cal")
+    assert read_calibration(tmp_path / "cal").effects == calibration.effects
 
 
-def test_a_law_that_each_set_up_follows_in_its_own_way_says_so(drifting: Recording) -> None:
+def test_a_law_with_separate_coefficients_for_each_set_up_says_so(drifting: Recording) -> None:
     words = "vertical index ~ station-time, separately at each set-up"
     (law,) = lt.calibrate(drifting, with_effects=[words], advise=False).effects
     assert (law.effect, law.place_text, law.n_distinguishable_parameters) == (words, "", len(drifting.stations))
     assert law.sentence.startswith(f"{words}: rms ") and ", swing " in law.sentence
 
 
-def test_a_curve_is_told_by_its_swing_beside_an_effect(drifting: Recording) -> None:
+def test_a_curve_is_reported_by_its_amplitude_next_to_an_effect(drifting: Recording) -> None:
     wanted = ["range-cyclic", "vertical index ~ a smooth function of station-time:S3", "position of targets ~ time:T02"]
     _, curve, moved = lt.calibrate(drifting, with_effects=wanted, advise=False).effects
     swing = next(p for p in curve.parameters if p.name == "swing")
@@ -99,14 +102,14 @@ def test_a_curve_is_told_by_its_swing_beside_an_effect(drifting: Recording) -> N
     assert [p.name for p in moved.parameters] == ["rms", "swing along x", "swing along y", "swing along z"]
 
 
-def test_what_the_recording_cannot_tell_is_left_out_and_said(drifting: Recording) -> None:
+def test_effects_that_the_recording_does_not_determine_are_excluded_and_reported(drifting: Recording) -> None:
     unaimed = lt.calibrate(drifting, with_effects=["smr-incidence"], advise=False)
     assert unaimed.effects[0].n_distinguishable_parameters == 0
     assert "not estimated, because" in unaimed.effects[0].sentence
 
 
 @pytest.mark.parametrize(
-    ("wanted", "said"),
+    ("wanted", "message"),
     [
         ("beam-tilt", "always estimated in a calibration"),
         ("noise-level", "changes the noise, not the readings"),
@@ -121,8 +124,10 @@ def test_what_the_recording_cannot_tell_is_left_out_and_said(drifting: Recording
         ("beam tilt ~ pressure^2", "expected a text such as .* station-time"),
     ],
 )
-def test_what_cannot_be_fitted_is_said_in_a_sentence(drifting: Recording, wanted: str, said: str) -> None:
-    with pytest.raises(ModelError, match=said):
+def test_effects_that_cannot_be_fitted_are_refused_in_a_sentence(
+    drifting: Recording, wanted: str, message: str
+) -> None:
+    with pytest.raises(ModelError, match=message):
         lt.calibrate(drifting, with_effects=[wanted])
 
 
@@ -143,38 +148,41 @@ def test_the_command_line_says_it_and_refuses_it_elsewhere(
         ("range-cyclic", RangeCyclic(wavelength=0.75), [10e-6, 0.0]),
     ],
 )
-def test_constants_scatter_as_much_as_is_told(wanted: str, true: Effect, values: list[float]) -> None:
+def test_constants_scatter_as_much_as_reported(wanted: str, true: Effect, values: list[float]) -> None:
     truth = getattr(true, true.shape_parameters[0].name) / SI_PER_UNIT[true.shape_parameters[0].unit]
     misses = []
     for seed in range(40):
-        found = lt.calibrate(with_effect(true, values, seed=seed), with_effects=[wanted], advise=False)
-        constant = found.effects[0].parameters[-1]
+        calibration = lt.calibrate(with_effect(true, values, seed=seed), with_effects=[wanted], advise=False)
+        constant = calibration.effects[0].parameters[-1]
         assert isinstance(constant.value, float) and constant.sigma is not None
         misses.append((constant.value - truth) / constant.sigma)
     assert 0.7 < np.sqrt(np.mean(np.square(misses))) < 1.4
     assert abs(np.mean(misses)) < 0.5
 
 
-def test_what_is_told_of_several_effects_is_that_of_their_common_adjustment(drifting: Recording) -> None:
+def test_reported_values_of_several_effects_are_those_of_their_common_adjustment(drifting: Recording) -> None:
     drift = "index-drift:S3,law=visit"
-    found = lt.calibrate(drifting, with_effects=["station-settling:S3,time_constant=10", drift], advise=False)
+    calibration = lt.calibrate(drifting, with_effects=["station-settling:S3,time_constant=10", drift], advise=False)
     alone = lt.calibrate(drifting, with_effects=["station-settling:S3,time_constant=10"], advise=False)
-    assert sum(e.chi2_drop for e in found.effects) > alone.effects[0].chi2_drop
-    told = [p for e in found.effects for p in e.parameters if p.sigma is not None]
-    assert found.adjustment is not None
-    state, spread = found.adjustment.state.extra_parameters, np.sqrt(np.diag(found.adjustment.effect_covariance))
-    unit = [SI_PER_UNIT[p.unit] for p in told]
-    assert [p.value for p in told] == pytest.approx(state / unit, rel=1e-6)
-    assert [p.sigma for p in told] == pytest.approx(found.uncertainty_factor * spread / unit, rel=1e-6)
-    stated = found.effects[0].parameters[-1]
-    assert (stated.name, stated.value, stated.sigma) == ("time_constant", 10.0, None)
+    assert sum(e.chi2_drop for e in calibration.effects) > alone.effects[0].chi2_drop
+    reported = [p for e in calibration.effects for p in e.parameters if p.sigma is not None]
+    assert calibration.adjustment is not None
+    state, spread = (
+        calibration.adjustment.state.extra_parameters,
+        np.sqrt(np.diag(calibration.adjustment.effect_covariance)),
+    )
+    unit = [SI_PER_UNIT[p.unit] for p in reported]
+    assert [p.value for p in reported] == pytest.approx(state / unit, rel=1e-6)
+    assert [p.sigma for p in reported] == pytest.approx(calibration.uncertainty_factor * spread / unit, rel=1e-6)
+    parameter = calibration.effects[0].parameters[-1]
+    assert (parameter.name, parameter.value, parameter.sigma) == ("time_constant", 10.0, None)
 
 
-def test_readings_left_out_noise_and_held_parameters_stay_in_what_is_told() -> None:
+def test_rejected_readings_noise_and_fixed_parameters_stay_in_the_report() -> None:
     recording = with_effect(RangeCyclic(wavelength=0.75), [10e-6, 0.0], noise=2.0)
     readings = recording.readings.copy()
     readings[3, 0] += 1e-3
-    found = lt.calibrate(
+    calibration = lt.calibrate(
         recording.with_readings(readings),
         with_effects=["range-cyclic"],
         robust=True,
@@ -182,10 +190,12 @@ def test_readings_left_out_noise_and_held_parameters_stay_in_what_is_told() -> N
         parameters=["beam-tilt", "vertical-index"],
         advise=False,
     )
-    assert any(out.row == 4 and out.excluded for out in found.outliers) and found.is_fixed.any()
-    told, adjusted = found.effects[0].parameters, found.adjustment
+    assert any(out.row == 4 and out.excluded for out in calibration.outliers) and calibration.is_fixed.any()
+    parameters, adjusted = calibration.effects[0].parameters, calibration.adjustment
     assert adjusted is not None
-    assert [1e-6 * p.value for p in told[:2]] == pytest.approx(adjusted.state.extra_parameters, rel=1e-3, abs=1e-9)
-    for one, value, least in zip(told, (10.0, 0.0, 750.0), (0.5, 1.0, 3.0), strict=True):
-        assert abs(one.value - value) < 4 * one.sigma
-        assert least < one.sigma < 10 * least
+    assert [1e-6 * p.value for p in parameters[:2]] == pytest.approx(
+        adjusted.state.extra_parameters, rel=1e-3, abs=1e-9
+    )
+    for entry, value, least in zip(parameters, (10.0, 0.0, 750.0), (0.5, 1.0, 3.0), strict=True):
+        assert abs(entry.value - value) < 4 * entry.sigma
+        assert least < entry.sigma < 10 * least

@@ -32,17 +32,17 @@ def with_prior(recording: Recording, factor: float, noise: float = 1.0) -> Recor
     prior = Prior(**{name: getattr(before, name) * factor for name in Prior.model_fields if name != "parameters"})
     quiet = Noise()
     louder = Noise(**{name: getattr(quiet, name) * noise for name in Noise.model_fields})
-    own = Instrument(prior=prior, noise=louder)
-    return recording.replace(setup=recording.setup.model_copy(update={"instrument": own}))
+    instrument = Instrument(prior=prior, noise=louder)
+    return recording.replace(setup=recording.setup.model_copy(update={"instrument": instrument}))
 
 
 @pytest.fixture(scope="module")
 def evidence() -> tuple[Floats, Floats]:
     """Information (16, 16) of a network of one face on the parameters in prior sigmas, and a new point's error."""
-    found = calibrate_network(network(seed=1)[0], BUILT, recommend_measurements=False)
-    assert found.adjustment is not None
+    calibration = calibrate_network(network(seed=1)[0], BUILT, recommend_measurements=False)
+    assert calibration.adjustment is not None
     unit = np.outer(SIGMA, SIGMA)
-    return np.linalg.inv(found.covariance / unit) - np.eye(16), point_error_matrix(found.adjustment) * unit
+    return np.linalg.inv(calibration.covariance / unit) - np.eye(16), point_error_matrix(calibration.adjustment) * unit
 
 
 @pytest.mark.parametrize("noise", NOISES)
@@ -57,9 +57,9 @@ def test_new_points_do_not_become_worse_under_a_wrong_prior(
     before, after = np.zeros(400), np.zeros(400)
     for trial in range(len(before)):
         true = rng.standard_normal(16) / factor
-        known = ScaledPrior(information, information @ true + root @ rng.standard_normal(16))
-        left = known.shrunk_correction(by_unit)[0] - true
-        before[trial], after[trial] = true @ by_unit @ true, left @ by_unit @ left
+        prior = ScaledPrior(information, information @ true + root @ rng.standard_normal(16))
+        error = prior.shrunk_correction(by_unit)[0] - true
+        before[trial], after[trial] = true @ by_unit @ true, error @ by_unit @ error
     ratio = np.sqrt(after / before)
     assert ratio.mean() < 1.02
     assert np.sqrt(after.mean() / before.mean()) < 1.02 + 2 * ratio.std() / np.sqrt(len(ratio))
@@ -68,7 +68,7 @@ def test_new_points_do_not_become_worse_under_a_wrong_prior(
 
 
 @pytest.mark.parametrize("factor", [0.1, 10.0, 1000.0])
-def test_a_wrong_prior_is_said_and_the_correction_still_corrects(factor: float) -> None:
+def test_a_wrong_prior_is_reported_and_the_correction_still_corrects(factor: float) -> None:
     recording, truth = network(seed=5, values=drawn(BUILT, 5))
     right = lt.calibrate(recording, advise=False)
     wrong = lt.calibrate(with_prior(recording, factor), advise=False)
@@ -88,68 +88,71 @@ def test_a_wrong_prior_is_said_and_the_correction_still_corrects(factor: float) 
 def test_a_recording_that_tells_nothing_corrects_nothing_and_says_so() -> None:
     recording = with_prior(network(seed=4)[0], 1000.0, noise=200.0)
     noise = random_stream(5, "noise").standard_normal(recording.readings.shape)
-    found = lt.calibrate(recording.with_readings(recording.readings + recording.reading_sigmas() * noise), advise=False)
-    assert found.correction is not None
-    assert np.linalg.norm(found.applied_values / SIGMA) < 0.2 * np.linalg.norm(found.estimates / SIGMA)
-    assert any("increase the errors of new points" in s for s in found.correction.sentences)
+    calibration = lt.calibrate(
+        recording.with_readings(recording.readings + recording.reading_sigmas() * noise), advise=False
+    )
+    assert calibration.correction is not None
+    assert np.linalg.norm(calibration.applied_values / SIGMA) < 0.2 * np.linalg.norm(calibration.estimates / SIGMA)
+    assert any("increase the errors of new points" in s for s in calibration.correction.sentences)
 
 
 def test_the_expected_error_of_a_new_point_is_right_on_average() -> None:
     """Root mean square over instruments drawn from the prior, of the error that is left and of what is told of it."""
-    told, seen = [], []
+    predicted, observed = [], []
     for seed in range(12):
         recording, truth = network(seed=seed, values=drawn(BUILT, seed))
-        found = lt.calibrate(recording, advise=False)
-        assert found.correction is not None
-        assert found.adjustment is not None
-        by_value = point_error_matrix(found.adjustment)
-        gap = found.estimates[0] - truth.state.instrument_parameters[0]
-        seen.append(gap @ by_value @ gap)
-        told.append((1e-6 * found.correction.corrected_error_um) ** 2)
-        assert found.correction.corrected_error_um < found.correction.uncorrected_error_um
-    assert np.sqrt(np.mean(seen) / np.mean(told)) == pytest.approx(1.0, abs=0.35)
+        calibration = lt.calibrate(recording, advise=False)
+        assert calibration.correction is not None
+        assert calibration.adjustment is not None
+        by_value = point_error_matrix(calibration.adjustment)
+        gap = calibration.estimates[0] - truth.state.instrument_parameters[0]
+        observed.append(gap @ by_value @ gap)
+        predicted.append((1e-6 * calibration.correction.corrected_error_um) ** 2)
+        assert calibration.correction.corrected_error_um < calibration.correction.uncorrected_error_um
+    assert np.sqrt(np.mean(observed) / np.mean(predicted)) == pytest.approx(1.0, abs=0.35)
 
 
 def test_an_error_of_a_new_point_says_the_noise_of_its_reading() -> None:
     """One definition: the rms distance from the truth in 3D, as simulated points show it, with its reading's noise."""
-    seen = []
+    errors = []
     for seed in range(6):
         recording, truth = network(seed=seed)
-        seen.append(rms_point_error(recording, measured_points(recording), truth.state.target_points))
-    found = lt.calibrate(recording, advise=False)
-    assert found.correction is not None
-    stated = point_noise_rms(recording, recording.reading_sigmas())
+        errors.append(rms_point_error(recording, measured_points(recording), truth.state.target_points))
+    calibration = lt.calibrate(recording, advise=False)
+    assert calibration.correction is not None
+    noise_rms = point_noise_rms(recording, recording.reading_sigmas())
     free = 1 - 6 / (3 * len(recording.targets))  # a rigid fit of each station takes six of its numbers
-    assert np.sqrt(np.mean(np.square(seen))) == pytest.approx(stated * np.sqrt(free), rel=0.05)
-    assert found.correction.noise_error_um == pytest.approx(1e6 * stated)
-    both = np.hypot(found.correction.corrected_error_um, found.correction.noise_error_um)
-    assert f"{number_text(both, 3)} um corrected (" in repr(found)
+    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(noise_rms * np.sqrt(free), rel=0.05)
+    assert calibration.correction.noise_error_um == pytest.approx(1e6 * noise_rms)
+    both = np.hypot(calibration.correction.corrected_error_um, calibration.correction.noise_error_um)
+    assert f"{number_text(both, 3)} um corrected (" in repr(calibration)
 
 
-@pytest.mark.parametrize("known", [False, True])
-def test_a_target_held_out_is_predicted_as_an_adjustment_without_it_predicts(known: bool) -> None:
+@pytest.mark.parametrize("has_reference", [False, True])
+def test_a_target_held_out_is_predicted_as_an_adjustment_without_it_predicts(has_reference: bool) -> None:
     """The closed form against a calibration that never saw the target, nor what is known of its coordinates."""
     recording = network(faces=2, seed=2, values=drawn(BUILT, 2), stations=2)[0]
-    if known:
+    if has_reference:
         places = dict(zip(recording.targets, 1e3 * mesh(), strict=True))
         targets = {
             name: target.model_copy(update={"known_mm": tuple(places[name].tolist()), "known_sigma_mm": 0.01})
             for name, target in recording.setup.targets.items()
         }
         recording = recording.replace(setup=recording.setup.model_copy(update={"targets": targets}))
-    found = calibrate_network(recording, BUILT, recommend_measurements=False)
-    assert found.adjustment is not None
-    held = held_out_targets(found.adjustment)[0]
+    calibration = calibrate_network(recording, BUILT, recommend_measurements=False)
+    assert calibration.adjustment is not None
+    held = held_out_targets(calibration.adjustment)[0]
     target = int(
         np.flatnonzero(
-            found.adjustment.problem.unknowns.target_columns[:, 0] >= found.adjustment.problem.unknowns.n_retained
+            calibration.adjustment.problem.unknowns.target_columns[:, 0]
+            >= calibration.adjustment.problem.unknowns.n_retained
         )[0]
     )
     others = recording.select(recording.target != target)
     without = calibrate_network(others, BUILT, recommend_measurements=False)
-    shift = held.estimate_shift / found.prior_sigma[0]
-    assert (found.estimates - without.estimates)[0] / found.prior_sigma[0] == pytest.approx(shift, abs=2e-3)
-    unit = np.outer(found.prior_sigma, found.prior_sigma)
+    shift = held.estimate_shift / calibration.prior_sigma[0]
+    assert (calibration.estimates - without.estimates)[0] / calibration.prior_sigma[0] == pytest.approx(shift, abs=2e-3)
+    unit = np.outer(calibration.prior_sigma, calibration.prior_sigma)
     assert held.parameter_covariance / unit == pytest.approx(without.covariance / unit, abs=2e-3)
 
 
@@ -160,18 +163,18 @@ def test_a_term_that_only_local_errors_feign_is_not_applied() -> None:
     for name, size in (("T03", 30e-6), ("T11", -25e-6), ("T20", 30e-6)):
         rows = (recording.target == recording.targets.index(name)) & (recording.face == 1)
         readings[rows, 1] += size / readings[rows, 0]
-    found = lt.calibrate(recording.with_readings(readings), advise=False)
-    assert found.correction is not None
-    assert found.correction.unapplied_parameters
-    words = parameter_text(found.correction.unapplied_parameters[0])
-    assert any("predicted better without the term" in s and words in s for s in found.correction.sentences)
-    at = [found.instrument_parameter_names.index(name) for name in found.correction.unapplied_parameters]
-    assert np.all(found.applied_values[0, at] == 0.0)
-    assert np.any(found.estimates[0, at] != 0.0)
+    calibration = lt.calibrate(recording.with_readings(readings), advise=False)
+    assert calibration.correction is not None
+    assert calibration.correction.unapplied_parameters
+    words = parameter_text(calibration.correction.unapplied_parameters[0])
+    assert any("predicted better without the term" in s and words in s for s in calibration.correction.sentences)
+    at = [calibration.instrument_parameter_names.index(name) for name in calibration.correction.unapplied_parameters]
+    assert np.all(calibration.applied_values[0, at] == 0.0)
+    assert np.any(calibration.estimates[0, at] != 0.0)
 
 
 @pytest.mark.parametrize(("stations", "sparse", "most"), family([(1, True, 0.7), (2, True, 0.8), (1, False, 1.05)]))
-def test_what_is_left_out_by_default_makes_new_points_no_worse(stations: int, sparse: bool, most: float) -> None:
+def test_terms_excluded_by_default_make_new_points_no_worse(stations: int, sparse: bool, most: float) -> None:
     """Trackers drawn over seeds: six of sixteen terms, a third as large as stated, or all as large as stated.
 
     Where the prior says what the instrument is, nothing can beat all sixteen estimates; little may be lost.
@@ -180,24 +183,28 @@ def test_what_is_left_out_by_default_makes_new_points_no_worse(stations: int, sp
     errors = []
     for seed in range(10):
         values = drawn(BUILT, seed) * (np.array(six) / 3 if sparse else 1.0)
-        found = lt.calibrate(network(faces=2, seed=seed, values=values, stations=stations)[0], advise=False)
-        assert found.adjustment is not None
-        form = point_error_matrix(found.adjustment)
-        errors.append([gap @ form @ gap for gap in (found.applied_values[0] - values, found.estimates[0] - values)])
+        calibration = lt.calibrate(network(faces=2, seed=seed, values=values, stations=stations)[0], advise=False)
+        assert calibration.adjustment is not None
+        form = point_error_matrix(calibration.adjustment)
+        errors.append(
+            [gap @ form @ gap for gap in (calibration.applied_values[0] - values, calibration.estimates[0] - values)]
+        )
     applied, estimated = np.sqrt(np.mean(errors, axis=0))
     assert applied < most * estimated
 
 
-def test_what_is_applied_is_kept_in_the_file(tmp_path) -> None:
+def test_applied_values_are_stored_in_the_file(tmp_path) -> None:
     recording = with_prior(network(seed=4, values=drawn(BUILT, 4))[0], 10.0)
-    found = lt.calibrate(recording, advise=False)
-    write_calibration(found, tmp_path / "cal")
+    calibration = lt.calibrate(recording, advise=False)
+    write_calibration(calibration, tmp_path / "cal")
     again = read_calibration(tmp_path / "cal")
-    assert again.applied_values == pytest.approx(found.applied_values, rel=1e-12)
+    assert again.applied_values == pytest.approx(calibration.applied_values, rel=1e-12)
     assert again.correction is not None
-    assert found.correction is not None
-    assert again.correction.sentences == found.correction.sentences
-    assert lt.correct(recording, again).readings == pytest.approx(lt.correct(recording, found).readings, abs=1e-12)
+    assert calibration.correction is not None
+    assert again.correction.sentences == calibration.correction.sentences
+    assert lt.correct(recording, again).readings == pytest.approx(
+        lt.correct(recording, calibration).readings, abs=1e-12
+    )
 
 
 @pytest.mark.long
@@ -209,12 +216,14 @@ def test_whole_calibrations_do_not_make_new_points_worse(factor: float, noise: f
     for seed in range(60):
         values = drawn(BUILT, seed)
         recording, _ = network(values=values)
-        stated = with_prior(recording, factor, noise)
+        with_wrong_prior = with_prior(recording, factor, noise)
         draw = random_stream(seed, "noise").standard_normal(recording.readings.shape)
-        found = lt.calibrate(stated.with_readings(recording.readings + stated.reading_sigmas() * draw), advise=False)
-        assert found.adjustment is not None
-        by_value = point_error_matrix(found.adjustment)
-        gap = found.applied_values[0] - values
+        calibration = lt.calibrate(
+            with_wrong_prior.with_readings(recording.readings + with_wrong_prior.reading_sigmas() * draw), advise=False
+        )
+        assert calibration.adjustment is not None
+        by_value = point_error_matrix(calibration.adjustment)
+        gap = calibration.applied_values[0] - values
         ratios.append(np.sqrt((gap @ by_value @ gap) / (values @ by_value @ values)))
     print(f"prior x {factor:g}, noise x {noise:g}: new points err {np.mean(ratios):.3f} of what they did")
     assert np.mean(ratios) < 1.02
@@ -238,8 +247,8 @@ def test_a_scale_beyond_the_prior_is_not_followed_where_the_readings_contradict_
     evidence: tuple[Floats, Floats],
 ) -> None:
     information, by_unit = evidence
-    told = information @ (6.0 * random_stream(3, "worth").standard_normal(16))
-    followed, bent = ScaledPrior(information, told), ScaledPrior(information, told, sigma0=2.5)
+    vector = information @ (6.0 * random_stream(3, "worth").standard_normal(16))
+    followed, bent = ScaledPrior(information, vector), ScaledPrior(information, vector, sigma0=2.5)
     assert followed.shrunk_correction(by_unit)[0].any()
     assert "larger than their prior sigmas: prior sigmas 5.6 times as large are most likely" in followed.scale_sentence
     assert not bent.shrunk_correction(by_unit)[0].any()

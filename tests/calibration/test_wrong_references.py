@@ -23,8 +23,8 @@ def recording_with_control(seed: int, wrong: str, error_mm: float) -> Recording:
     for name in CONTROL:
         point = 1e3 * mesh()[recording.targets.index(name)] + SIGMA_MM * rng.standard_normal(3)
         point[0] += error_mm * (name == wrong)
-        known = {"known_mm": tuple(point.tolist()), "known_sigma_mm": SIGMA_MM}
-        targets[name] = targets[name].model_copy(update=known)
+        reference = {"known_mm": tuple(point.tolist()), "known_sigma_mm": SIGMA_MM}
+        targets[name] = targets[name].model_copy(update=reference)
     return recording.replace(setup=recording.setup.model_copy(update={"targets": targets, "gauge": None}))
 
 

@@ -63,8 +63,8 @@ def test_rows_carry_the_settings_of_their_cell_and_units(reference: dict[str, by
     schema = pq.read_schema(path)
     assert schema.names[:3] == ["cell", "noise_factor", "method"]
     assert schema.field("noise_factor").metadata == {b"unit": b"", b"keys": b"instrument.noise_factor"}
-    told = schema.field("target_error_um").metadata
-    assert told[b"unit"] == b"um" and b"it includes the noise of the adjusted readings" in told[b"meaning"]
+    metadata = schema.field("target_error_um").metadata
+    assert metadata[b"unit"] == b"um" and b"it includes the noise of the adjusted readings" in metadata[b"meaning"]
     assert set(read_shard(path)["noise_factor"].to_pylist()) == {2.0}
 
 
@@ -205,7 +205,7 @@ def test_changed_file_is_refused_and_rows_stay(file: Path, tmp_path: Path, refer
     assert run_campaign(out / "campaign.toml", out, resume=True).n_existing_shards == 6
 
 
-def test_a_campaign_of_an_own_scenario_goes_on_from_its_copy(file: Path, tmp_path: Path) -> None:
+def test_a_campaign_of_a_users_scenario_continues_from_its_copy(file: Path, tmp_path: Path) -> None:
     (tmp_path / "sub").mkdir()
     text = scenario_to_toml(load_scenario("paper-laboratory"))
     (tmp_path / "sub" / "mine.toml").write_text(text)
@@ -254,8 +254,8 @@ def test_full_disk_is_a_sentence_and_finished_shards_stay(
     monkeypatch.setattr(store.os, "fsync", full)
     with pytest.raises(InputError, match="the disk is full; complete files of rows remain in the folder"):
         run_campaign(file, out)
-    kept = contents(out)
-    assert 0 < len(kept) < 6
+    before = contents(out)
+    assert 0 < len(before) < 6
     assert not list(out.rglob("*.tmp"))
     monkeypatch.undo()
     run_campaign(file, out, resume=True)
@@ -268,7 +268,7 @@ def test_folder_that_cannot_be_written_is_a_sentence(file: Path, tmp_path: Path)
         run_campaign(file, tmp_path / "blocked" / "out")
 
 
-def test_two_campaigns_in_one_folder_are_kept_apart(file: Path, tmp_path: Path) -> None:
+def test_two_campaigns_in_a_folder_stay_separate(file: Path, tmp_path: Path) -> None:
     with (
         CampaignFolder(tmp_path / "out").lock(),
         pytest.raises(InputError, match="another campaign runs in this folder"),
@@ -289,7 +289,7 @@ def test_two_campaigns_in_one_folder_are_kept_apart(file: Path, tmp_path: Path) 
         (('[grid]', '[[methods]]\n[[methods]]\n[grid]'), "different names"),
     ],
 )  # fmt: skip
-def test_a_wrong_file_is_one_sentence(change: tuple[str, str], says: str, file: Path, tmp_path: Path) -> None:
+def test_a_wrong_file_is_refused_in_a_sentence(change: tuple[str, str], says: str, file: Path, tmp_path: Path) -> None:
     file.write_text(FILE.replace(*change))
     with pytest.raises(InputError) as raised:
         run_campaign(file, tmp_path / "out")

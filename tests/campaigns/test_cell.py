@@ -47,8 +47,8 @@ def with_effect(name: str) -> Scenario:
     kind = find_effect(name)
     entry: dict[str, Any] = {"name": name, "draw": True}
     if issubclass(kind, Blunder):
-        seen = make_measurement_geometry(load_scenario("paper-workshop"), SEED).sightings
-        made = kind.possible_blunders(seen)[0]
+        sightings = make_measurement_geometry(load_scenario("paper-workshop"), SEED).sightings
+        made = kind.possible_blunders(sightings)[0]
         entry = {"name": name, "values": {made.parameters[0].name: 1.0}}
         entry |= {"stations": list(made.stations), "targets": list(made.targets)}
     elif kind.scope == "station":
@@ -105,15 +105,16 @@ def test_a_trial_written_and_calibrated_is_its_row(method: str, geometry: Any, t
     )
     row = make_shard_rows(ShardTask(campaign, given, "", 0, 0)).slice(TRIAL, 1).to_pylist()[0]
     lt.write(lt.simulate(given, seed=SEED, trial=TRIAL, geometry=geometry).recording, tmp_path / "rec")
-    found = lt.calibrate(tmp_path / "rec", method=method)
+    calibration = lt.calibrate(tmp_path / "rec", method=method)
     assert row["trial"] == TRIAL
     factor = np.array([p.si_per_display_unit for p in misalignment_construction().parameters])
     ours, sigma = (
-        np.array([row[f"{what}:{name}"] for name in found.instrument_parameter_names]) for what in ("estimate", "sigma")
+        np.array([row[f"{what}:{name}"] for name in calibration.instrument_parameter_names])
+        for what in ("estimate", "sigma")
     )
-    gap = (ours * factor - found.estimates[0]) / found.sigma[0]
+    gap = (ours * factor - calibration.estimates[0]) / calibration.sigma[0]
     assert np.abs(gap).max() < SIGMAS
-    np.testing.assert_allclose(sigma * factor, found.sigma[0], rtol=2e-3)
+    np.testing.assert_allclose(sigma * factor, calibration.sigma[0], rtol=2e-3)
 
 
 def test_nothing_that_is_never_negative_is_drawn_so() -> None:
@@ -144,7 +145,7 @@ def test_drawn_noise_levels_widen_single_trials() -> None:
     assert np.corrcoef(ratio / usual, np.sqrt(1 + extra))[0, 1] > 0.9
 
 
-def test_stated_errors_are_not_drawn() -> None:
+def test_declared_errors_are_not_drawn() -> None:
     truth = make_true_network(scenario(instrument={"preset": "paper", "errors": {"draw": True, "beam-tilt": 7.0}}), 6)
     block = truth.draw_batch(6, 0)
     place = truth.construction.parameter_index("beam-tilt")
@@ -160,14 +161,14 @@ def test_an_error_that_the_instrument_cannot_have_is_refused() -> None:
 
 def test_geometry_belongs_to_its_key() -> None:
     given = scenario()
-    one, other, again = (
+    first, other, again = (
         make_true_network(given, 7, "a"),
         make_true_network(given, 7, "b"),
         make_true_network(given, 7, "a"),
     )
-    assert np.array_equal(one.state.target_points, again.state.target_points)
-    assert np.abs(one.state.target_points - other.state.target_points).max() > 1e-4
-    assert np.array_equal(one.state.station_positions[0], np.zeros(3))
+    assert np.array_equal(first.state.target_points, again.state.target_points)
+    assert np.abs(first.state.target_points - other.state.target_points).max() > 1e-4
+    assert np.array_equal(first.state.station_positions[0], np.zeros(3))
 
 
 def test_variance_below_zero_is_refused_by_both() -> None:

@@ -51,9 +51,9 @@ def test_killed_worker_changes_nothing(tmp_path: Path, root: Path) -> None:
     file.write_text(FILE)
     run_campaign(file, tmp_path / "one")
     cluster = tmp_path / "cluster.json"
-    found = ("--scheduler-file", str(cluster), "--no-dashboard")
-    scheduler = ("scheduler", "--host", "127.0.0.1", "--port", "0", *found)
-    worker = ("worker", "--nworkers", "1", "--nthreads", "1", "--no-nanny", *found)
+    options = ("--scheduler-file", str(cluster), "--no-dashboard")
+    scheduler = ("scheduler", "--host", "127.0.0.1", "--port", "0", *options)
+    worker = ("worker", "--nworkers", "1", "--nthreads", "1", "--no-nanny", *options)
     settings = {"folder": tmp_path, "root": root}
     with process(*scheduler, **settings):
         deadline = time.monotonic() + 60
@@ -62,13 +62,13 @@ def test_killed_worker_changes_nothing(tmp_path: Path, root: Path) -> None:
         with process(*worker, **settings) as doomed, process(*worker, **settings) as survivor:
             finished: list[int] = []
 
-            def kill_one(trials: int) -> None:
+            def kill_worker(trials: int) -> None:
                 finished.append(trials)
                 if len(finished) == 3:
                     doomed.kill()
 
             workers = WorkerSettings(backend="dask", scheduler=str(cluster))
-            outcome = run_campaign(file, tmp_path / "cluster", workers=workers, progress=kill_one)
+            outcome = run_campaign(file, tmp_path / "cluster", workers=workers, progress=kill_worker)
             assert doomed.wait(timeout=30) != 0
             assert survivor.poll() is None
     assert outcome.n_computed_shards == 12

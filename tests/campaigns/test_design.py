@@ -24,7 +24,7 @@ def made(tmp_path: Path, text: str):
     return campaign, scenarios, factors, [cell.levels for cell in cells]
 
 
-def test_what_people_sweep_is_one_key_each(tmp_path: Path) -> None:
+def test_each_usual_factor_is_a_single_key(tmp_path: Path) -> None:
     grid = (
         '[grid]\n"work.targets" = [6, 12]\n"work.stations" = [3, 5]\n"work.faces" = [1, 2]\n"work.repeats" = [1, 3]\n'
     )
@@ -47,7 +47,7 @@ def test_linked_keys_take_the_same_value_in_the_keys_unit(tmp_path: Path) -> Non
     assert cell_label(factors, levels[0]) == "noise_arcsec = 0.5"
 
 
-def test_errors_and_effects_are_swept_in_their_own_units(tmp_path: Path) -> None:
+def test_errors_and_effects_are_swept_in_their_units(tmp_path: Path) -> None:
     text = '[scenario_changes]\n"workshop.temperature_c" = "27 °C"\neffects = [{name = "head-sag"}]\n'
     text += '[grid]\n"instrument.errors.beam-tilt" = ["1 arcsec"]\n"effects.1.values.sag" = ["0.02 mrad"]\n'
     text += '"workshop.shadow_cone_deg" = ["none", 70]\n'
@@ -77,8 +77,8 @@ def test_designs_fill_their_ranges_and_come_from_the_seed(kind: str, tmp_path: P
 def test_a_preset_is_swept_with_all_it_stands_for(tmp_path: Path) -> None:
     text = '[grid]\n"instrument.noise.azimuth_arcsec" = [0.3]\n"instrument.preset" = ["paper", "modern"]\n'
     _, scenarios, _, _ = made(tmp_path, text)
-    stated = [(s.instrument.noise.azimuth_arcsec, s.instrument.noise.elevation_arcsec) for s in scenarios]
-    assert stated == [(0.3, 0.37), (0.3, 0.2)]
+    noise_values = [(s.instrument.noise.azimuth_arcsec, s.instrument.noise.elevation_arcsec) for s in scenarios]
+    assert noise_values == [(0.3, 0.37), (0.3, 0.2)]
     assert [s.instrument.prior.offset_mm for s in scenarios] == [0.014, 0.005]
 
 
@@ -88,7 +88,7 @@ def test_whole_numbers_of_a_range_are_equally_likely() -> None:
     assert np.bincount(values).tolist() == [0, 250, 250, 250, 250]
 
 
-def test_names_are_as_short_as_tells_them_apart() -> None:
+def test_names_are_as_short_as_distinct_names_can_be() -> None:
     keys = ["instruments.A.noise_factor", "instruments.B.noise_factor", "work.faces", "x.trial"]
     assert list(short_key_names(keys).values()) == ["A_noise_factor", "B_noise_factor", "faces", "x_trial"]
 
@@ -108,7 +108,7 @@ def test_names_are_as_short_as_tells_them_apart() -> None:
         ('statistics = ["errors"]\n[stop]\nmax_half_width = 1\nstatistic = "z:beam-tilt"\n', "include 'z-scores'"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_varied_is_one_sentence(text: str, says: str, tmp_path: Path) -> None:
+def test_a_factor_that_cannot_be_varied_is_refused_in_a_sentence(text: str, says: str, tmp_path: Path) -> None:
     with pytest.raises(InputError) as raised:
         made(tmp_path, text)
     assert says in str(raised.value) and "\n" not in str(raised.value)

@@ -22,12 +22,12 @@ EVERY = np.arange(TRIALS_PER_STREAM)
 def test_batch_equals_single_calibrator(faces: int, make_truth: Callable[..., TrueNetwork]) -> None:
     batch = BatchDistanceCalibrator(make_truth(faces=faces), misalignment_construction())
     block = batch.true_network.draw_batch(21, 0)
-    found = batch.calibrate(block, EVERY)
-    assert np.all(found.status_indices == 0)
-    assert max(batch.largest_solver_difference(block, k, found) for k in (0, 90, 180)) < 1e-3
+    calibrated = batch.calibrate(block, EVERY)
+    assert np.all(calibrated.status_indices == 0)
+    assert max(batch.largest_solver_difference(block, k, calibrated) for k in (0, 90, 180)) < 1e-3
     single = batch.serial_calibrator.calibrate(block, np.array([7]))
-    assert single.chi2[7] == pytest.approx(found.chi2[7], abs=0.01)
-    assert single.instrument_sigmas[:, :, 7] == pytest.approx(found.instrument_sigmas, rel=1e-3)
+    assert single.chi2[7] == pytest.approx(calibrated.chi2[7], abs=0.01)
+    assert single.instrument_sigmas[:, :, 7] == pytest.approx(calibrated.instrument_sigmas, rel=1e-3)
 
 
 def test_objective_is_that_of_the_single_calibrator(make_truth: Callable[..., TrueNetwork]) -> None:
@@ -35,8 +35,8 @@ def test_objective_is_that_of_the_single_calibrator(make_truth: Callable[..., Tr
     truth = make_truth(faces=2)
     batch = BatchDistanceCalibrator(truth, misalignment_construction())
     block = truth.draw_batch(22, 0)
-    sets, seen, share, gauge = batch._distance_objective_arrays
-    clouds = np.zeros((*seen.shape, 3, TRIALS_PER_STREAM))
+    sets, targets, share, gauge = batch._distance_objective_arrays
+    clouds = np.zeros((*targets.shape, 3, TRIALS_PER_STREAM))
     for i, (s, t) in enumerate(zip(sets, truth.recording.target, strict=True)):
         for k in (3, 4):
             raw = truth.recording.readings[i : i + 1] + block.reading_deviations[i : i + 1, :, k]
@@ -45,7 +45,7 @@ def test_objective_is_that_of_the_single_calibrator(make_truth: Callable[..., Tr
     clouds[..., 5:] = clouds[..., 3:4]
     length = batch.distance_problem.reference_lengths.lengths[:, None] + block.length_errors
     cost = np.zeros(TRIALS_PER_STREAM)
-    distance_gradient(clouds, seen, gauge, length, np.zeros_like(clouds), cost)
+    distance_gradient(clouds, targets, gauge, length, np.zeros_like(clouds), cost)
     for k in (3, 4):
         problem = DistanceProblem(
             recording_of_trial(truth, block, k), misalignment_construction(), batch.distance_problem.prior_sigma
@@ -58,10 +58,10 @@ def test_gross_error_goes_to_the_single_calibrator(make_truth: Callable[..., Tru
     batch = BatchDistanceCalibrator(make_truth(), misalignment_construction())
     block = batch.true_network.draw_batch(23, 0)
     block.reading_deviations[30, 0, 5] -= 8e-3
-    found = batch.calibrate(block, np.array([4, 5]))
-    assert [TRIAL_STATUSES[s] for s in found.status_indices[[4, 5]]] == ["converged", "full solver"]
+    calibrated = batch.calibrate(block, np.array([4, 5]))
+    assert [TRIAL_STATUSES[s] for s in calibrated.status_indices[[4, 5]]] == ["converged", "full solver"]
     single = batch.serial_calibrator.calibrate(block, np.array([5]))
-    assert np.array_equal(found.instrument_values[:, :, 5], single.instrument_values[:, :, 5])
+    assert np.array_equal(calibrated.instrument_values[:, :, 5], single.instrument_values[:, :, 5])
 
 
 @pytest.mark.long
@@ -71,9 +71,9 @@ def test_least_absolute_deviations_equal_single_calibrator(faces: int, make_trut
     batch = BatchDistanceCalibrator(make_truth(faces=faces), misalignment_construction(), method="distance-l1")
     block = batch.true_network.draw_batch(24, 0)
     block.reading_deviations[11::60, 0, 3] += 3e-4
-    found = batch.calibrate(block, np.array([2, 3, 200]))
-    assert np.all(found.status_indices[[2, 3, 200]] == 0)
-    assert max(batch.largest_solver_difference(block, k, found) for k in (2, 200)) < 1e-3
-    assert batch.largest_solver_difference(block, 3, found) < 2e-3  # 0.3 mm off: 1.1e-3, here and on a8a5717
+    calibrated = batch.calibrate(block, np.array([2, 3, 200]))
+    assert np.all(calibrated.status_indices[[2, 3, 200]] == 0)
+    assert max(batch.largest_solver_difference(block, k, calibrated) for k in (2, 200)) < 1e-3
+    assert batch.largest_solver_difference(block, 3, calibrated) < 2e-3  # 0.3 mm off: 1.1e-3, here and on a8a5717
     squares = BatchDistanceCalibrator(batch.true_network, misalignment_construction()).calibrate(block, EVERY)
-    assert not np.allclose(squares.instrument_values[:, :, 3], found.instrument_values[:, :, 3], rtol=0.01)
+    assert not np.allclose(squares.instrument_values[:, :, 3], calibrated.instrument_values[:, :, 3], rtol=0.01)

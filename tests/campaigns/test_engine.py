@@ -65,24 +65,24 @@ class Bent(Drift):
 def test_batch_equals_full_solver(faces: int, make_truth: Callable[..., TrueNetwork]) -> None:
     engine = BatchCalibrator(make_truth(faces=faces), misalignment_construction())
     block = engine.true_network.draw_batch(11, 2)
-    found = engine.calibrate(block)
-    assert np.all(found.status_indices == 0)
-    differences = [engine.largest_solver_difference(block, k, found) for k in range(0, TRIALS_PER_STREAM, 64)]
+    calibrated = engine.calibrate(block)
+    assert np.all(calibrated.status_indices == 0)
+    differences = [engine.largest_solver_difference(block, k, calibrated) for k in range(0, TRIALS_PER_STREAM, 64)]
     assert max(differences) < 2e-4
 
 
 def test_batch_equals_full_solver_with_errors_ten_times_as_large(make_truth: Callable[..., TrueNetwork]) -> None:
     engine = BatchCalibrator(make_truth(scale=10.0), misalignment_construction())
     block = engine.true_network.draw_batch(11, 0)
-    found = engine.calibrate(block)
-    assert max(engine.largest_solver_difference(block, k, found) for k in range(0, TRIALS_PER_STREAM, 64)) < 1e-3
+    calibrated = engine.calibrate(block)
+    assert max(engine.largest_solver_difference(block, k, calibrated) for k in range(0, TRIALS_PER_STREAM, 64)) < 1e-3
 
 
 def test_batch_equals_full_solver_for_the_paper_chain(make_truth: Callable[..., TrueNetwork]) -> None:
     engine = BatchCalibrator(make_truth(), dh_construction())
     block = engine.true_network.draw_batch(12, 0)
-    found = engine.calibrate(block)
-    assert max(engine.largest_solver_difference(block, k, found) for k in (0, 100)) < 1e-3
+    calibrated = engine.calibrate(block)
+    assert max(engine.largest_solver_difference(block, k, calibrated) for k in (0, 100)) < 1e-3
 
 
 def test_fitted_effects_equal_full_solver(make_truth: Callable[..., TrueNetwork]) -> None:
@@ -91,35 +91,35 @@ def test_fitted_effects_equal_full_solver(make_truth: Callable[..., TrueNetwork]
     engine = BatchCalibrator(truth, misalignment_construction(), (Drift(),))
     block = truth.draw_batch(13, 0)
     fit = engine.batch_network.fit_trials(block.reading_deviations, block.length_errors)
-    found = engine.calibrate(block)
-    assert max(engine.largest_solver_difference(block, k, found) for k in (0, 100)) < 2e-4
+    calibrated = engine.calibrate(block)
+    assert max(engine.largest_solver_difference(block, k, calibrated) for k in (0, 100)) < 2e-4
     adjusted = adjust(recording_of_trial(truth, block, 5), misalignment_construction(), effects=(Drift(),))
     spread = np.sqrt(np.diag(adjusted.effect_covariance))
     assert np.all(np.abs(adjusted.state.extra_parameters - fit.effect_values[:, 5]) < 2e-4 * spread)
     assert np.all(np.abs(fit.effect_values[:, 5] - block.effect_values[0][:, 5]) < 5 * spread)
 
 
-def test_fitted_effect_on_the_known_lengths_equals_full_solver(make_truth: Callable[..., TrueNetwork]) -> None:
+def test_fitted_effect_on_the_reference_lengths_equals_full_solver(make_truth: Callable[..., TrueNetwork]) -> None:
     truth = make_truth()
     engine = BatchCalibrator(truth, misalignment_construction(), (GaugeScale(),))
     block = truth.draw_batch(20, 0)
     block.length_errors[:] += 1e-4 * np.array([d.length_mm * 1e-3 for d in truth.recording.gauge.distance])[:, None]
-    found = engine.calibrate(block)
-    assert max(engine.largest_solver_difference(block, k, found) for k in (0, 100)) < 2e-4
+    calibrated = engine.calibrate(block)
+    assert max(engine.largest_solver_difference(block, k, calibrated) for k in (0, 100)) < 2e-4
     scale = engine.batch_network.fit_trials(block.reading_deviations, block.length_errors).effect_values[0]
     assert scale.mean() == pytest.approx(-1e-4, rel=0.02)
 
 
 def test_chi2_and_z_scores_are_what_the_covariance_says(engine: BatchCalibrator) -> None:
     blocks = [engine.true_network.draw_batch(14, k) for k in range(4)]
-    found = [engine.calibrate(block) for block in blocks]
-    chi2 = np.concatenate([f.chi2 for f in found])
+    batches = [engine.calibrate(block) for block in blocks]
+    chi2 = np.concatenate([f.chi2 for f in batches])
     dof = engine.batch_network.problem.dof
     assert abs(chi2.mean() - dof) < 4 * np.sqrt(2 * dof / len(chi2))
     gap = np.concatenate(
-        [f.instrument_values[0] - b.instrument_values[0] for f, b in zip(found, blocks, strict=True)], axis=1
+        [f.instrument_values[0] - b.instrument_values[0] for f, b in zip(batches, blocks, strict=True)], axis=1
     )
-    z = gap / found[0].instrument_sigmas[0][:, None]
+    z = gap / batches[0].instrument_sigmas[0][:, None]
     assert np.all(np.abs(z.mean(axis=1)) < 4.5 / np.sqrt(len(chi2)))
     assert np.all(np.abs(z.var(axis=1) - 1) < 4.5 * np.sqrt(2 / len(chi2)))
 
@@ -127,32 +127,32 @@ def test_chi2_and_z_scores_are_what_the_covariance_says(engine: BatchCalibrator)
 def test_gross_error_goes_to_the_full_solver_and_is_screened(engine: BatchCalibrator) -> None:
     block = engine.true_network.draw_batch(15, 0)
     block.reading_deviations[17, 0, 3] += 5e-3
-    found = engine.calibrate(block)
-    assert [TRIAL_STATUSES[s] for s in found.status_indices[[2, 3]]] == ["converged", FULL_SOLVER]
-    assert np.isfinite(found.instrument_values).all()
+    calibrated = engine.calibrate(block)
+    assert [TRIAL_STATUSES[s] for s in calibrated.status_indices[[2, 3]]] == ["converged", FULL_SOLVER]
+    assert np.isfinite(calibrated.instrument_values).all()
     single, _, _ = engine.serial_calibrator.adjust_recording(recording_of_trial(engine.true_network, block, 3))
     assert single is not None and single.is_gross_pointing[17]
-    assert np.array_equal(found.instrument_values[:, :, 3], single.state.instrument_parameters)
+    assert np.array_equal(calibrated.instrument_values[:, :, 3], single.state.instrument_parameters)
 
 
 def test_trial_that_nothing_solves_is_a_failed_row(engine: BatchCalibrator) -> None:
     block = engine.true_network.draw_batch(15, 1)
     block.reading_deviations[:, :, 9] = np.nan
-    found = engine.calibrate(block)
-    assert TRIAL_STATUSES[found.status_indices[9]] == WITHOUT_RESULT
-    assert np.isnan(found.instrument_values[0, :, 9]).all() and np.isnan(found.chi2[9])
-    assert np.isfinite(np.delete(found.instrument_values, 9, axis=2)).all()
+    calibrated = engine.calibrate(block)
+    assert TRIAL_STATUSES[calibrated.status_indices[9]] == WITHOUT_RESULT
+    assert np.isnan(calibrated.instrument_values[0, :, 9]).all() and np.isnan(calibrated.chi2[9])
+    assert np.isfinite(np.delete(calibrated.instrument_values, 9, axis=2)).all()
 
 
 def test_judge_equals_evaluation_of_single_recordings(engine: BatchCalibrator) -> None:
     truth = engine.true_network
     block = truth.draw_batch(16, 0)
-    found, judge = engine.calibrate(block), TrialEvaluator(truth)
+    calibrated, judge = engine.calibrate(block), TrialEvaluator(truth)
     shared = judge.method_independent_columns(block)
-    columns = shared | judge.method_columns(block, found, engine.construction)
+    columns = shared | judge.method_columns(block, calibrated, engine.construction)
     for k in (0, 77, 255):
         recording = recording_of_trial(truth, block, k)
-        criteria = evaluate_criteria(recording, engine.construction, found.instrument_values[0, :, k]).model_dump()
+        criteria = evaluate_criteria(recording, engine.construction, calibrated.instrument_values[0, :, k]).model_dump()
         for kind in ("distance", "coordinate"):
             for when in ("before", "after"):
                 for which in ("mean", "max"):
@@ -162,12 +162,12 @@ def test_judge_equals_evaluation_of_single_recordings(engine: BatchCalibrator) -
             recording,
             truth.state.target_points,
             engine.construction,
-            calibrated=found.instrument_values[0, :, k],
+            calibrated=calibrated.instrument_values[0, :, k],
             true_parameters=block.instrument_values[0, :, k],
         )
         assert columns["error_raw_um"][k] == pytest.approx(1e6 * shares.raw_rms, rel=1e-7)
         assert columns["error_calibrated_um"][k] == pytest.approx(1e6 * shares.calibrated_rms, rel=1e-7)
-        points = truth.state.target_points + found.target_errors[:, :, k]
+        points = truth.state.target_points + calibrated.target_errors[:, :, k]
         assert columns["target_error_um"][k] == pytest.approx(
             1e6 * target_error(points, truth.state.target_points), rel=1e-7
         )
@@ -175,12 +175,12 @@ def test_judge_equals_evaluation_of_single_recordings(engine: BatchCalibrator) -
 
 def test_a_draw_depends_on_its_key_alone(make_truth: Callable[..., TrueNetwork]) -> None:
     plain, drifting = make_truth(), make_truth(effects=(EffectDistribution(Drift(), np.zeros(2), np.full(2, 1e-9)),))
-    one, other = plain.draw_batch(17, 5), drifting.draw_batch(17, 5)
-    assert np.array_equal(one.instrument_values, other.instrument_values)
-    assert np.array_equal(one.length_errors, other.length_errors)
-    assert not np.array_equal(one.reading_deviations, other.reading_deviations)
-    assert not np.array_equal(one.instrument_values, plain.draw_batch(17, 6).instrument_values)
-    assert not np.array_equal(one.instrument_values, plain.draw_batch(18, 5).instrument_values)
+    first, other = plain.draw_batch(17, 5), drifting.draw_batch(17, 5)
+    assert np.array_equal(first.instrument_values, other.instrument_values)
+    assert np.array_equal(first.length_errors, other.length_errors)
+    assert not np.array_equal(first.reading_deviations, other.reading_deviations)
+    assert not np.array_equal(first.instrument_values, plain.draw_batch(17, 6).instrument_values)
+    assert not np.array_equal(first.instrument_values, plain.draw_batch(18, 5).instrument_values)
 
 
 def test_drawn_readings_are_exact_readings_plus_shift_plus_noise(make_truth: Callable[..., TrueNetwork]) -> None:
@@ -205,7 +205,7 @@ def test_drawn_readings_are_exact_readings_plus_shift_plus_noise(make_truth: Cal
     assert np.abs(steps / 1e-7 - np.round(steps / 1e-7)).max() < 1e-6
 
 
-def test_stated_lengths_carry_their_error_to_every_calibrator(engine: BatchCalibrator) -> None:
+def test_declared_lengths_carry_their_error_to_every_calibrator(engine: BatchCalibrator) -> None:
     block = engine.true_network.draw_batch(19, 0)
     recording = recording_of_trial(engine.true_network, block, 4)
     before, after = engine.true_network.recording.gauge.distance, recording.gauge.distance

@@ -43,7 +43,7 @@ def rows(folder: Path, columns: str = "trial, error_raw_um") -> set[tuple[object
 
 
 @pytest.mark.parametrize(
-    ("change", "shards", "kept", "trials", "repeated", "judged"),
+    ("change", "shards", "retained", "trials", "repeated", "judged"),
     [
         (("[1.0, 2.0]", "[1.0, 1.5, 2.0]"), 2, 4, 24, 2, 2),
         (("trials = 24", "trials = 40"), 4, 2, 2 * 16, 2, 4),
@@ -55,7 +55,7 @@ def rows(folder: Path, columns: str = "trial, error_raw_um") -> set[tuple[object
 def test_a_grown_campaign_takes_what_is_missing(
     change: tuple[str, str],
     shards: int,
-    kept: int,
+    retained: int,
     trials: int,
     repeated: int,
     judged: int,
@@ -81,7 +81,7 @@ def test_a_grown_campaign_takes_what_is_missing(
 
             counted.setattr(owner, name, noted)
         outcome = run_campaign(file, out, resume=True)
-    assert (outcome.n_computed_shards, outcome.n_existing_shards, outcome.notes) == (shards, kept, ())
+    assert (outcome.n_computed_shards, outcome.n_existing_shards, outcome.notes) == (shards, retained, ())
     assert (sum(calls["calibrate"]), len(calls["largest_solver_difference"]), len(calls["method_columns"])) == (
         trials,
         repeated,
@@ -130,24 +130,24 @@ def test_values_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert run_campaign(out / "campaign.toml", out, resume=True).n_computed_shards == 0
     for wrong in ("work.faces", "work.faces=3", "work.face=2"):
         assert run([*command, wrong, "--out", str(tmp_path / "no")]) == 2
-    said = capsys.readouterr().err.splitlines()
-    assert len(said) == 3 and "expected KEY=VALUE" in said[0]
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 3 and "expected KEY=VALUE" in lines[0]
     assert load_campaign(file, {"instrument.noise_factor": 3.0})[0].grid == {"instrument.noise_factor": [3.0]}
 
 
 @pytest.mark.long
-def test_many_cells_are_told_by_their_factors(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_many_cells_are_listed_by_their_factors(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "many.toml"
     levels = [1 + k / 100 for k in range(MAX_CELL_ROWS // 2 + 1)]
     grid = f'[grid]\n"instrument.noise_factor" = {levels}\n"work.faces" = [1, 2]\n'
     file.write_text(FILE.partition("[grid]")[0].replace("trials = 24", "trials = 2") + grid)
     assert run(["campaign", str(file)]) == 0
-    said = capsys.readouterr().out.splitlines()
-    assert any(line.split()[:2] == ["faces", "2"] for line in said)
-    assert len(said) < 2 * (len(levels) + 2) + 10
+    lines = capsys.readouterr().out.splitlines()
+    assert any(line.split()[:2] == ["faces", "2"] for line in lines)
+    assert len(lines) < 2 * (len(levels) + 2) + 10
 
 
-def test_status_one_says_which_cell_even_when_quiet(
+def test_exit_status_1_names_the_cell_even_when_quiet(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "sweep.toml"
@@ -156,8 +156,10 @@ def test_status_one_says_which_cell_even_when_quiet(
     )
     monkeypatch.setattr("ltsim.campaigns.trial_calibrators.BatchCalibrator.largest_solver_difference", lambda *_: 0.01)
     assert run(["campaign", str(file), "--quiet"]) == 1
-    said = capsys.readouterr().err
-    assert "cell 1 (noise_factor = 2)" in said and "up to 0.01 sigma" in said and "limit 0.001" in said
+    error_text = capsys.readouterr().err
+    assert (
+        "cell 1 (noise_factor = 2)" in error_text and "up to 0.01 sigma" in error_text and "limit 0.001" in error_text
+    )
 
 
 def test_damaged_shards_of_a_grown_campaign_are_done_again(begun: tuple[Path, Path]) -> None:

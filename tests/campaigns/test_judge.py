@@ -15,7 +15,7 @@ from ltsim.campaigns.true_network import make_true_network
 from ltsim.geometry.polar import from_polar
 from ltsim.simulation.scenario import Scenario, load_scenario, validate_scenario
 
-SEEN_BY_LAST = (3, 3, 3, 2, 3, 3, 2, 3)
+N_SIGHTS_OF_LAST = (3, 3, 3, 2, 3, 3, 2, 3)
 """Targets that S6 reaches in the geometries of trials 0 to 7."""
 
 
@@ -30,12 +30,12 @@ def with_far_station(*, levelled: bool) -> Scenario:
 
 def rows(scenario: Scenario) -> dict[str, list[object]]:
     campaign = CampaignFile(
-        format="ltsim-campaign/1", trials=len(SEEN_BY_LAST), geometry="per-trial", verified_trials_per_shard=0
+        format="ltsim-campaign/1", trials=len(N_SIGHTS_OF_LAST), geometry="per-trial", verified_trials_per_shard=0
     )
     return dict(make_shard_rows(ShardTask(campaign, scenario, "", 0, 0)).to_pydict())
 
 
-def test_station_that_sees_two_targets_is_left_out_of_the_error() -> None:
+def test_station_with_two_sights_is_excluded_from_the_error() -> None:
     truth = make_true_network(with_far_station(levelled=True), 0, "campaign", 2)
     judge, block = TrialEvaluator(truth), truth.draw_batch(0, 2, 1)
     assert judge.is_measured.sum(axis=1)[-1] == 2 and judge.is_frame_determined.tolist() == [True] * 5 + [False]
@@ -51,31 +51,31 @@ def test_station_that_sees_two_targets_is_left_out_of_the_error() -> None:
 
 
 def test_rows_of_geometries_that_see_different_things() -> None:
-    found = rows(with_far_station(levelled=True))
-    assert found["status"] == ["converged"] * len(SEEN_BY_LAST)
+    table = rows(with_far_station(levelled=True))
+    assert table["status"] == ["converged"] * len(N_SIGHTS_OF_LAST)
     for name in ("error_raw_um", "error_calibrated_um", "target_error_um"):
-        assert all(isinstance(value, float) and 0 < value < 200 for value in found[name]), name
-    assert [value is not None for value in found["distance_after_mean_um"]] == [n == 3 for n in SEEN_BY_LAST]
+        assert all(isinstance(value, float) and 0 < value < 200 for value in table[name]), name
+    assert [value is not None for value in table["distance_after_mean_um"]] == [n == 3 for n in N_SIGHTS_OF_LAST]
 
 
 def test_trial_whose_geometry_determines_too_little_is_a_failed_row() -> None:
-    found = rows(with_far_station(levelled=False))
-    assert found["status"] == ["converged" if n == 3 else "failed" for n in SEEN_BY_LAST]
-    assert [value is not None for value in found["target_error_um"]] == [n == 3 for n in SEEN_BY_LAST]
+    table = rows(with_far_station(levelled=False))
+    assert table["status"] == ["converged" if n == 3 else "failed" for n in N_SIGHTS_OF_LAST]
+    assert [value is not None for value in table["target_error_um"]] == [n == 3 for n in N_SIGHTS_OF_LAST]
 
 
-def test_target_that_a_trial_does_not_determine_is_left_out_of_its_error() -> None:
+def test_target_that_a_trial_does_not_determine_is_excluded_from_its_error() -> None:
     truth = make_true_network(load_scenario("paper-workshop-re-aimed"), 3, "campaign")
     judge, draw = TrialEvaluator(truth), np.random.default_rng(5)
     points = 1e-5 * draw.standard_normal((*truth.state.target_points.shape, 4))
     whole = judge.adjusted_target_error(points)
     lost = points.copy()
     lost[7, :, 2] = np.nan
-    found = judge.adjusted_target_error(lost)
-    assert np.array_equal(found[[0, 1, 3]], whole[[0, 1, 3]])
-    kept = np.arange(len(points)) != 7
-    true = truth.state.target_points[kept]
-    gap = align_to_points(true + points[kept][:, :, 2], true) - true
-    assert found[2] == pytest.approx(MICROMETRES_PER_METRE * np.sqrt(np.mean(np.sum(gap**2, axis=1))), rel=1e-6)
+    error = judge.adjusted_target_error(lost)
+    assert np.array_equal(error[[0, 1, 3]], whole[[0, 1, 3]])
+    selection = np.arange(len(points)) != 7
+    true = truth.state.target_points[selection]
+    gap = align_to_points(true + points[selection][:, :, 2], true) - true
+    assert error[2] == pytest.approx(MICROMETRES_PER_METRE * np.sqrt(np.mean(np.sum(gap**2, axis=1))), rel=1e-6)
     lost[:, :, 1] = np.nan
     assert np.isnan(judge.adjusted_target_error(lost)[1])

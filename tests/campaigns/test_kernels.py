@@ -98,10 +98,10 @@ def test_gradient_is_that_of_the_cost(engine: BatchCalibrator) -> None:
     step = 1e-2
     ahead, behind = (cost_and_gradient(x + s * direction)[0] for s in (step, -step))
     slope = -0.5 * (ahead - behind) / (2 * step)
-    found = np.sum(cost_and_gradient(x)[1] * direction, axis=0)
+    derivative = np.sum(cost_and_gradient(x)[1] * direction, axis=0)
     scale = np.abs(slope).mean()
     assert scale > 100
-    assert np.abs(found - slope).max() < 3e-4 * scale  # the ideal derivative carries residuals to the target
+    assert np.abs(derivative - slope).max() < 3e-4 * scale  # the ideal derivative carries residuals to the target
 
 
 def test_without_a_place_to_keep_machine_code_it_is_compiled_anew(monkeypatch: pytest.MonkeyPatch) -> None:

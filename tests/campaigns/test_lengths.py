@@ -28,16 +28,16 @@ def test_batches_are_the_single_calibrators_and_scatter_as_predicted() -> None:
     truth = make_true_network(BARS, 4, "campaign")
     block = truth.draw_batch(4, 0)
     engine = BatchCalibrator(truth, truth.construction)
-    found = engine.calibrate(block)
-    assert max(engine.largest_solver_difference(block, k, found) for k in (0, 100)) < 2e-4
-    z = ((found.instrument_values - block.instrument_values) / found.instrument_sigmas[:, :, None])[0]
+    calibrated = engine.calibrate(block)
+    assert max(engine.largest_solver_difference(block, k, calibrated) for k in (0, 100)) < 2e-4
+    z = ((calibrated.instrument_values - block.instrument_values) / calibrated.instrument_sigmas[:, :, None])[0]
     np.testing.assert_allclose(z.std(axis=1), 1.0, atol=0.16)
     scale = truth.construction.parameter_index("range-scale")
     assert (
-        found.instrument_sigmas[0, scale] < 0.8 * truth.distributions.instrument_error_sigmas[0, scale]
+        calibrated.instrument_sigmas[0, scale] < 0.8 * truth.distributions.instrument_error_sigmas[0, scale]
     )  # the bars tell something
     dof = engine.batch_network.problem.dof
-    assert abs(found.chi2.mean() - dof) < 5 * np.sqrt(2 * dof / len(found.chi2))
+    assert abs(calibrated.chi2.mean() - dof) < 5 * np.sqrt(2 * dof / len(calibrated.chi2))
     distance = BatchDistanceCalibrator(truth, truth.construction)
-    compared = distance.calibrate(block, np.arange(len(found.chi2)))
+    compared = distance.calibrate(block, np.arange(len(calibrated.chi2)))
     assert max(distance.largest_solver_difference(block, k, compared) for k in (0, 3)) < 1e-3

@@ -49,7 +49,7 @@ def test_no_geometry_of_a_trial_outlives_its_batch(geometry: str, file: Path, tm
 
 def living_truths() -> list[object]:
     """Truths and batches of trials that exist; the type is compared, because a dead weak reference has no class."""
-    return [found for found in gc.get_objects() if type(found) in (TrueNetwork, TrialBatch)]
+    return [item for item in gc.get_objects() if type(item) in (TrueNetwork, TrialBatch)]
 
 
 @pytest.mark.parametrize("geometry", family(["shared", "per-trial"]))

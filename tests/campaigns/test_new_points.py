@@ -42,11 +42,11 @@ class SlowWarp(Effect):
 @pytest.fixture(autouse=True)
 def session() -> Iterator[None]:
     """The effect is known in these tests alone."""
-    kept = dict(CATALOGUE.__dict__)
+    catalogue = dict(CATALOGUE.__dict__)
     assert lt.add_effect(SlowWarp) is SlowWarp
     yield
     CATALOGUE.__dict__.clear()
-    CATALOGUE.__dict__.update(kept)
+    CATALOGUE.__dict__.update(catalogue)
 
 
 def campaign(**more: Any) -> CampaignFile:
@@ -67,30 +67,30 @@ def rows(made: CampaignFile, scenario: Scenario = PAPER) -> dict[str, list[Any]]
 def test_the_same_instruments_are_judged_where_nothing_was_calibrated(tmp_path: Path) -> None:
     """Every trial's error there, against a recording of that place corrected by what the trial found."""
     made = campaign(validation_points="paper-laboratory", statistics=["errors", "estimates", "truth"], trials=6)
-    found = rows(made)
-    raw, after, perfect = (np.array(found[name]) for name in ERRORS)
+    table = rows(made)
+    raw, after, perfect = (np.array(table[name]) for name in ERRORS)
     assert np.mean(perfect) < np.mean(after) and np.all(after < raw)
     room = load_scenario("paper-laboratory")
     names = lt.calibrate(lt.simulate(PAPER, seed=4).recording).instrument_parameter_names
     for trial in range(2):
-        exact = {name: found[f"true:{name}"][trial] for name in names}
-        seen, truth = lt.simulate(room, seed=9, trial=trial, changes={"instrument.errors": exact})
+        exact = {name: table[f"true:{name}"][trial] for name in names}
+        measured, truth = lt.simulate(room, seed=9, trial=trial, changes={"instrument.errors": exact})
         built = lt.calibrate(lt.simulate(PAPER, seed=4).recording).construction
         values = np.array(
             [
-                found[f"estimate:{n}"][trial] * p.si_per_display_unit
+                table[f"estimate:{n}"][trial] * p.si_per_display_unit
                 for n, p in zip(names, built.parameters, strict=True)
             ]
         )
         true = np.array([truth.instrument_values[n] for n in names])
-        judged = share_removed(seen, truth.target_points, built, calibrated=values, true_parameters=true)
+        judged = share_removed(measured, truth.target_points, built, calibrated=values, true_parameters=true)
         # Another noise, another placing: the same instrument's error to a fifth.
         assert raw[trial] == pytest.approx(1e6 * judged.raw_rms, rel=0.2)
         assert perfect[trial] == pytest.approx(1e6 * judged.true_parameters_rms, rel=0.2)
         assert after[trial] == pytest.approx(1e6 * judged.calibrated_rms, rel=0.25)
 
 
-def test_points_of_a_table_are_measured_from_the_cells_own_stations(tmp_path: Path) -> None:
+def test_points_of_a_table_are_measured_from_the_stations_of_the_cell(tmp_path: Path) -> None:
     table = "target,x_mm,y_mm,z_mm\nA,500,500,1500\nB,5500,600,2500\nC,800,5400,700\nD,5200,5300,3200\n"
     (tmp_path / "points.csv").write_text(table)
     judge = make_validation_scenario("points.csv", PAPER, tmp_path / "campaign.toml")
@@ -109,14 +109,14 @@ def test_an_effect_of_the_session_is_fitted_taken_out_and_has_columns(solver: st
     entry = [{"name": "slow-warp"}]
     methods = [{"name": "plain", "solver": solver}, {"name": "with", "solver": solver, "effects": entry}]
     warped = lt.scenario(PAPER, {"effects": [{"name": "slow-warp", "draw": True}]})
-    found = rows(campaign(methods=methods, trials=24, statistics=["errors", "estimates", "truth", "z-scores"]), warped)
-    mine = np.array(found["method"]) == "with"
+    table = rows(campaign(methods=methods, trials=24, statistics=["errors", "estimates", "truth", "z-scores"]), warped)
+    mine = np.array(table["method"]) == "with"
     columns = {
-        kind: np.array(found[f"{kind}:slow-warp:rate"], dtype=float) for kind in ("estimate", "sigma", "true", "z")
+        kind: np.array(table[f"{kind}:slow-warp:rate"], dtype=float) for kind in ("estimate", "sigma", "true", "z")
     }
     z = (columns["estimate"] - columns["true"])[mine] / columns["sigma"][mine]
     assert z == pytest.approx(columns["z"][mine], abs=1e-3) and 0.5 < z.std() < 1.6
-    error = np.array(found["error_calibrated_um"])
+    error = np.array(table["error_calibrated_um"])
     assert np.sqrt(np.mean(error[mine] ** 2)) < 0.9 * np.sqrt(np.mean(error[~mine] ** 2))
 
 
@@ -155,16 +155,16 @@ def test_paired_differences_on_common_draws(tmp_path: Path) -> None:
     )
     gap = (values["distance"] - values["network"])[0]
     assert face_1.difference == pytest.approx(gap.mean(), rel=1e-6)
-    apart = np.sqrt(values["distance"][0].var() + values["network"][0].var())
-    assert gap.std() < 0.9 * apart  # the draws are common
+    separate_sigma = np.sqrt(values["distance"][0].var() + values["network"][0].var())
+    assert gap.std() < 0.9 * separate_sigma  # the draws are common
     faces = results.paired_differences("share_removed", faces=(2, 1))
     assert [e.shared_levels for e in faces.entries] == [{"method": "network"}, {"method": "distance"}]
     frame = results.to_dataframe("rows").query("method == 'network'")
     shares = [
         removed_error_fraction(
-            *(own[f"error_{what}_um"].to_numpy() for what in ("raw", "calibrated", "true_parameters"))
+            *(group[f"error_{what}_um"].to_numpy() for what in ("raw", "calibrated", "true_parameters"))
         )
-        for _, own in frame.groupby("faces")
+        for _, group in frame.groupby("faces")
     ]
     assert faces.entries[0].difference == pytest.approx(shares[1] - shares[0], rel=1e-5)
     spread = next(s for s in results.statistic_summaries("share_removed") if (s.cell, s.method) == (0, "network"))

@@ -30,17 +30,19 @@ def truth() -> TrueNetwork:
 
 def test_the_batch_is_the_full_solver_and_scatters_as_predicted(truth: TrueNetwork) -> None:
     engine, block = BatchCalibrator(truth, truth.construction), truth.draw_batch(4, 0)
-    found = engine.calibrate(block)
-    assert (found.status_indices == 0).mean() > 0.95
+    calibrated = engine.calibrate(block)
+    assert (calibrated.status_indices == 0).mean() > 0.95
     assert np.isnan(truth.trial_readings(block, 0)[:, 1:]).all()
     # Rough places say which way is up, to a degree: it shows in what the elevation has to do with a range.
-    assert max(engine.largest_solver_difference(block, k, found) for k in (0, 100)) < 0.02
-    z = ((found.instrument_values - block.instrument_values) / found.instrument_sigmas[:, :, None])[0]
+    assert max(engine.largest_solver_difference(block, k, calibrated) for k in (0, 100)) < 0.02
+    z = ((calibrated.instrument_values - block.instrument_values) / calibrated.instrument_sigmas[:, :, None])[0]
     np.testing.assert_allclose(z.std(axis=1), 1.0, atol=0.16)
     dof = engine.batch_network.problem.dof
-    assert abs(found.chi2.mean() - dof) < 5 * np.sqrt(2 * dof / found.chi2.size)
+    assert abs(calibrated.chi2.mean() - dof) < 5 * np.sqrt(2 * dof / calibrated.chi2.size)
     points = truth.state.target_points
-    moved = np.stack([align_to_points(points + gap, points) - points for gap in np.moveaxis(found.target_errors, 2, 0)])
+    moved = np.stack(
+        [align_to_points(points + gap, points) - points for gap in np.moveaxis(calibrated.target_errors, 2, 0)]
+    )
     assert np.sqrt(np.mean((moved / engine.target_sigmas) ** 2)) == pytest.approx(1.0, abs=0.06)
     columns = TrialEvaluator(truth).method_independent_columns(block)
     assert np.isnan(columns["error_raw_um"]).all()  # no station tells a point by itself
@@ -61,23 +63,23 @@ def test_a_plan_of_ranges_predicts_what_trials_achieve(truth: TrueNetwork) -> No
     )
     slow = ExpectedPrecision.from_survey(there, built)
     assert fast.weighted_target_rms[0] == pytest.approx(slow.target_rms, rel=1e-6)
-    known = np.sqrt(np.diag(np.linalg.inv(fast.information_matrices[0]))) * slow.prior_sigma
-    np.testing.assert_allclose(known, slow.instrument_sigmas, rtol=1e-6)
-    found = BatchCalibrator(truth, built).calibrate(truth.draw_batch(5, 0))
+    sigmas = np.sqrt(np.diag(np.linalg.inv(fast.information_matrices[0]))) * slow.prior_sigma
+    np.testing.assert_allclose(sigmas, slow.instrument_sigmas, rtol=1e-6)
+    calibrated = BatchCalibrator(truth, built).calibrate(truth.draw_batch(5, 0))
     points = truth.state.target_points
-    errors = [align_to_points(points + gap, points) - points for gap in np.moveaxis(found.target_errors, 2, 0)]
+    errors = [align_to_points(points + gap, points) - points for gap in np.moveaxis(calibrated.target_errors, 2, 0)]
     achieved = np.sqrt(np.mean(np.sum(np.square(errors), axis=2)))
     assert achieved / slow.target_rms == pytest.approx(1.0, abs=0.07)
 
 
 def test_ranges_from_two_stations_place_nothing(truth: TrueNetwork) -> None:
     survey = planned_survey(SCENE)
-    seen = survey.is_visible.copy()
-    seen[2:, 0] = False
-    lost = survey.replace(is_visible=seen)
-    reducer, slots = LayoutScorer(lost), np.arange(len(seen))
+    is_visible = survey.is_visible.copy()
+    is_visible[2:, 0] = False
+    lost = survey.replace(is_visible=is_visible)
+    reducer, slots = LayoutScorer(lost), np.arange(len(is_visible))
     out = reducer.evaluate_layouts(
-        reducer.normal_blocks(lost.station_positions, lost.station_yaws, slots, seen),
+        reducer.normal_blocks(lost.station_positions, lost.station_yaws, slots, is_visible),
         slots[None],
         with_target_errors=True,
     )
@@ -97,12 +99,12 @@ def test_a_distance_calibrator_and_a_mixture_of_trackers_are_refused(truth: True
         make_true_network(mixed.model_copy(update={"instruments": trackers}), 1)
 
 
-def test_each_trial_may_have_its_own_places(truth: TrueNetwork) -> None:
-    own = {k: make_true_network(SCENE, 4, "campaign", k, reference_network=truth) for k in range(6)}
-    ((stack, numbers),) = stack_geometries(own)
+def test_each_trial_may_have_separate_positions(truth: TrueNetwork) -> None:
+    networks = {k: make_true_network(SCENE, 4, "campaign", k, reference_network=truth) for k in range(6)}
+    ((stack, numbers),) = stack_geometries(networks)
     block = stack.draw_numbered_trials(4, numbers)
     calibrator = StackCalibrator.for_stack(CalibrationMethod(method="network"), stack)
     assert isinstance(calibrator.single_trial_calibrator(0), BatchCalibrator)
-    found = calibrator.calibrate(block, np.arange(6))
-    assert (found.status_indices == 0).all()
-    assert calibrator.largest_solver_difference(block, 2, found) < 0.02
+    calibrated = calibrator.calibrate(block, np.arange(6))
+    assert (calibrated.status_indices == 0).all()
+    assert calibrator.largest_solver_difference(block, 2, calibrated) < 0.02

@@ -55,10 +55,10 @@ def test_a_sweep_is_a_dataset_with_units_on_axes_that_sel_takes(sweep: Any) -> N
     pytest.importorskip("xarray", reason="the dataset is xarray's")
     cube = sweep.to_xarray("target_error_um", "share_removed")
     assert cube.sizes == {"calibrator": 2, "faces": 2, "angle_noise_arcsec": 2}
-    one = cube.sel(calibrator="distance", faces=2, angle_noise_arcsec=0.4)
+    selected = cube.sel(calibrator="distance", faces=2, angle_noise_arcsec=0.4)
     entry = next(s for s in sweep.statistic_summaries("target_error_um") if (s.cell, s.method) == (2, "distance"))
     assert sweep.levels[2] == {"faces": 2, "angle_noise_arcsec": 0.4}
-    assert (float(one.target_error_um), float(one.target_error_um_low)) == (entry.mean, entry.low)
+    assert (float(selected.target_error_um), float(selected.target_error_um_low)) == (entry.mean, entry.low)
     assert cube.target_error_um.attrs["units"] == "um"
     assert cube.angle_noise_arcsec.attrs["units"] == "arcsec"
     assert "full_difference_sigma" not in sweep.to_xarray()
@@ -71,8 +71,8 @@ def test_a_statistic_is_drawn_along_a_factor(sweep: Any) -> None:
     assert [ax.get_title(loc="left") for ax in figure.axes] == ["faces 1", "faces 2"]
     assert figure.get_supxlabel() == "angle noise [arcsec]"
     assert "new point error" in figure.axes[0].get_ylabel()
-    one = sweep_points(sweep, "target_error_um", "faces", angle_noise_arcsec=0.8, method="network")
-    assert [(row.level, row.line_label) for row in one] == [(1, "network"), (2, "network")]
+    point = sweep_points(sweep, "target_error_um", "faces", angle_noise_arcsec=0.8, method="network")
+    assert [(row.level, row.line_label) for row in point] == [(1, "network"), (2, "network")]
     with pytest.raises(ModelError, match="did you mean angle_noise_arcsec"):
         sweep.plot("target_error_um", "angle_noise_arcsecs")
     with pytest.raises(ModelError, match=r"several cells share a position on the axis.*faces"):
@@ -124,7 +124,7 @@ def test_an_axis_rises_however_the_sweep_has_grown(tmp_path: Path) -> None:
     assert float(cube.target_error_um.sel(targets=24)[0]) == made.statistic_summaries("target_error_um")[1].mean
 
 
-def test_cells_that_are_no_grid_lie_on_one_axis_and_no_name_is_an_argument_of_sel(tmp_path: Path) -> None:
+def test_cells_without_a_grid_lie_on_a_single_axis_and_no_name_is_an_argument_of_sel(tmp_path: Path) -> None:
     pytest.importorskip("xarray", reason="the dataset is xarray's")
     link = {"tolerance": ["instrument.noise_factor"]}
     cells = [{"tolerance": 1.0, "work.faces": 1}, {"tolerance": 2.0, "work.faces": 2}]
@@ -152,20 +152,20 @@ def test_results_go_through_a_pool_of_processes(sweep: Any) -> None:
     assert lt.campaign(sweep.folder) == sweep
 
 
-def test_methods_are_compared_on_one_recording_as_the_campaign_compares_them_in_its_row(sweep: Any) -> None:
+def test_methods_are_compared_on_a_recording_as_the_campaign_compares_them_in_its_row(sweep: Any) -> None:
     changes = {"instrument.noise.azimuth_arcsec": 0.4, "instrument.noise.elevation_arcsec": 0.4, "work.faces": 1}
     scenario = lt.scenario("paper-workshop", changes)
     recording, _ = lt.simulate(scenario, seed=3, trial=17)
-    found = {method: lt.calibrate(recording, method=method) for method in ("network", "distance")}
-    judged = lt.compare_calibrations(scenario, found, "paper-laboratory", seed=3, trial=17).table()
+    calibrations = {method: lt.calibrate(recording, method=method) for method in ("network", "distance")}
+    judged = lt.compare_calibrations(scenario, calibrations, "paper-laboratory", seed=3, trial=17).table()
     for kind in ("raw", "calibrated", "true_parameters"):
         sql = f"SELECT new_point_error_{kind}_um FROM rows WHERE cell = 0 AND trial = 17 ORDER BY method DESC"
         assert judged.column(f"error_{kind}_um") == pytest.approx([row[0] for row in sweep.query(sql)], rel=1e-4)
     assert judged.column("calibration") == ["network", "distance"]
-    alone = lt.compare_calibrations(scenario, found["network"], "paper-laboratory", seed=3, trial=17)
+    alone = lt.compare_calibrations(scenario, calibrations["network"], "paper-laboratory", seed=3, trial=17)
     assert alone.table().column("error_calibrated_um") == judged.column("error_calibrated_um")[:1]
     with pytest.raises(InputError, match="calibration 'network' is not from seed 3 and trial 16"):
-        lt.compare_calibrations(scenario, found, "paper-laboratory", seed=3, trial=16)
+        lt.compare_calibrations(scenario, calibrations, "paper-laboratory", seed=3, trial=16)
     with pytest.raises(InputError, match="no calibration is given"):
         lt.compare_calibrations(scenario, {}, "paper-laboratory", seed=3, trial=17)
 
@@ -175,11 +175,11 @@ def test_what_is_applied_is_judged_as_a_campaign_judges_it(tmp_path: Path) -> No
     campaign = SWEEP | {"seed": 1, "trials": 2, "trials_per_shard": 2, "methods": methods}
     rows = lt.campaign(campaign, out=tmp_path / "rows")
     recording, _ = lt.simulate("paper-workshop", seed=1, trial=1)
-    found = lt.calibrate(recording)
-    assert not np.array_equal(found.applied_values, found.estimates)  # else both are one
+    calibration = lt.calibrate(recording)
+    assert not np.array_equal(calibration.applied_values, calibration.estimates)  # else both are one
     for method, applied in (("network", False), ("applied", True)):
         judged = lt.compare_calibrations(
-            "paper-workshop", found, "paper-laboratory", uses_applied_corrections=applied, seed=1, trial=1
+            "paper-workshop", calibration, "paper-laboratory", uses_applied_corrections=applied, seed=1, trial=1
         )
         sql = f"SELECT new_point_error_calibrated_um FROM rows WHERE trial = 1 AND method = '{method}'"
         (row,) = rows.query(sql)
@@ -204,7 +204,7 @@ def test_residuals_are_a_table(kind: Callable[..., Any]) -> None:
     assert len(table.rows) == 3 * len(recording)
 
 
-def test_the_page_has_the_noise_floor_beside_each_error_and_says_what_its_statistics_are(sweep: Any) -> None:
+def test_the_page_has_the_noise_floor_next_to_each_error_and_says_what_its_statistics_are(sweep: Any) -> None:
     blocks = campaign_section(sweep.folder).blocks
     tables = {block.title: block for block in blocks if isinstance(block, TableBlock)}
     for title, prefix in (("Error of a point", ""), ("Error of a new point", "new_point_")):

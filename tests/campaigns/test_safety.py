@@ -120,7 +120,7 @@ def test_tables_are_the_same_bytes_from_run_to_run(file: Path, tmp_path: Path) -
     assert len(texts) == 1
 
 
-def test_a_changed_cad_file_is_noticed_and_kept(file: Path, tmp_path: Path) -> None:
+def test_a_changed_cad_file_is_noticed_and_stored(file: Path, tmp_path: Path) -> None:
     (tmp_path / "parts").mkdir()
     cad = tmp_path / "parts" / "box.stl"
     trimesh.creation.box([0.1, 0.1, 0.1]).export(cad)
@@ -268,11 +268,11 @@ def test_rows_that_lie_in_another_folder_stay_as_they_are(name: str, option: str
 
 
 @pytest.mark.parametrize(
-    ("place", "tracked", "own"),
+    ("place", "tracked", "is_checkout"),
     [("", True, True), ("vendor", True, False), (".venv/lib/site-packages", False, False), ("", False, False)],
 )
 def test_a_commit_is_of_the_checkout_of_ltsim_alone(
-    place: str, tracked: bool, own: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    place: str, tracked: bool, is_checkout: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def git(*words: str) -> str:
         command = ["git", "-c", "user.name=a", "-c", "user.email=a@b", "-c", "commit.gpgsign=false", *words]
@@ -287,8 +287,8 @@ def test_a_commit_is_of_the_checkout_of_ltsim_alone(
     git("commit", "-q", "-m", "first")
     monkeypatch.setattr("ltsim.campaigns.campaign.__file__", str(file))
     monkeypatch.setenv("GIT_DIR", str(Path(__file__).parents[2] / ".git"))  # of no account
-    monkeypatch.delenv("GIT_DIR" if own else "GIT_NOTHING", raising=False)
-    assert git_commit_of_checkout() == (git("rev-parse", "HEAD") if own else None)
+    monkeypatch.delenv("GIT_DIR" if is_checkout else "GIT_NOTHING", raising=False)
+    assert git_commit_of_checkout() == (git("rev-parse", "HEAD") if is_checkout else None)
 
 
 def test_a_campaign_says_which_ltsim_made_it(file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

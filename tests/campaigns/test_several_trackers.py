@@ -31,22 +31,22 @@ def test_a_block_draws_each_tracker_by_its_name_and_calibrates_them_together() -
                 block.instrument_values[i, k], truth.distributions.instrument_error_sigmas[i, k] * drawn
             )
     engine = BatchCalibrator(truth, truth.construction)
-    found = engine.calibrate(block)
-    z = (found.instrument_values - block.instrument_values) / found.instrument_sigmas[:, :, None]
+    calibrated = engine.calibrate(block)
+    z = (calibrated.instrument_values - block.instrument_values) / calibrated.instrument_sigmas[:, :, None]
     assert np.all(np.abs(z.mean(axis=2)) < 5 / 8) and abs(np.mean(z**2) - 1) < 0.2
-    assert engine.largest_solver_difference(block, int(np.argmin(found.status_indices)), found) < 1e-3
+    assert engine.largest_solver_difference(block, int(np.argmin(calibrated.status_indices)), calibrated) < 1e-3
     labels = parameter_labels(truth.construction, truth.recording.instruments, ())
-    columns = parameter_value_columns(labels, found.estimates_and_sigmas[0], "estimate")
+    columns = parameter_value_columns(labels, calibrated.estimates_and_sigmas[0], "estimate")
     tilt = truth.construction.parameter_index("beam-tilt")
-    np.testing.assert_allclose(columns["estimate:beam-tilt@B"], found.instrument_values[1, tilt] * 1e6)
+    np.testing.assert_allclose(columns["estimate:beam-tilt@B"], calibrated.instrument_values[1, tilt] * 1e6)
 
 
 def test_recovery_checks_every_trackers_parameters() -> None:
     drawn = scenario_with_errors_from_prior(load_scenario("two-trackers"))
     assert all(tracker.draws_errors and tracker.error_factor == 1.0 for tracker in drawn.trackers_in_use.values())
-    found = lt.recover("two-trackers", trials=12, seed=1)
-    assert found.failed_checks() == [] and found.arrays.z_scores.shape == (12, 32)
-    names = [p.parameter for p in found.parameters]
+    recovery = lt.recover("two-trackers", trials=12, seed=1)
+    assert recovery.failed_checks() == [] and recovery.arrays.z_scores.shape == (12, 32)
+    names = [p.parameter for p in recovery.parameters]
     assert names[0] == "range-offset@A" and names[31] == "elevation-second-order-sin@B"
 
 
@@ -56,6 +56,6 @@ def test_recovery_checks_every_trackers_parameters() -> None:
 def test_intervals_hold_for_every_construction_and_number_of_trackers(construction: str, trackers: str) -> None:
     changes: dict[str, Any] = {f"stations.S{i}.instrument": name for i, name in enumerate(trackers, start=1)}
     changes |= {f"instruments.{name}.construction": construction for name in set(trackers)}
-    found = lt.recover(change_scenario(TWO, changes, Path("hall.toml")), trials=60, seed=8).arrays
-    assert len(found.available_trial_scores) == 60
-    assert 0.93 < np.mean(np.abs(found.z_scores) < 1.96) < 0.97
+    recovery = lt.recover(change_scenario(TWO, changes, Path("hall.toml")), trials=60, seed=8).arrays
+    assert len(recovery.available_trial_scores) == 60
+    assert 0.93 < np.mean(np.abs(recovery.z_scores) < 1.96) < 0.97

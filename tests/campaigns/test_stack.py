@@ -31,27 +31,27 @@ def test_side_by_side_is_as_alone(name: str) -> None:
     ((stack, numbers),) = stack_geometries(truths)
     block = stack.draw_numbered_trials(8, numbers)
     calibrator = StackCalibrator.for_stack(CalibrationMethod(), stack)
-    found, together = calibrator.calibrate(block, np.arange(TRIALS)), TrialEvaluator(stack)
-    columns = together.method_columns(block, found, misalignment_construction())
-    assert np.all(found.status_indices == 0)
+    calibrated, together = calibrator.calibrate(block, np.arange(TRIALS)), TrialEvaluator(stack)
+    columns = together.method_columns(block, calibrated, misalignment_construction())
+    assert np.all(calibrated.status_indices == 0)
     assert len(np.unique(stack.recording_row_of_pointing, axis=1).T) == TRIALS
     for k, truth in truths.items():
-        own, engine, judge = (
+        single, engine, judge = (
             truth.draw_batch(8, k, 1),
             BatchCalibrator(truth, misalignment_construction()),
             TrialEvaluator(truth),
         )
-        assert np.abs(own.reading_deviations - block.single_trial_batches[k].reading_deviations).max() < 1e-12
-        theirs = engine.calibrate(own)
-        assert found.instrument_sigmas[:, :, k] == pytest.approx(theirs.instrument_sigmas, rel=1e-9)
+        assert np.abs(single.reading_deviations - block.single_trial_batches[k].reading_deviations).max() < 1e-12
+        theirs = engine.calibrate(single)
+        assert calibrated.instrument_sigmas[:, :, k] == pytest.approx(theirs.instrument_sigmas, rel=1e-9)
         assert (
-            np.abs(found.instrument_values[:, :, k] - theirs.instrument_values[:, :, 0]).max()
+            np.abs(calibrated.instrument_values[:, :, k] - theirs.instrument_values[:, :, 0]).max()
             < 1e-4 * theirs.instrument_sigmas.min()
         )
-        expected = judge.method_columns(own, theirs, misalignment_construction())
+        expected = judge.method_columns(single, theirs, misalignment_construction())
         for column, value in expected.items():
             assert columns[column][k] == pytest.approx(value[0], rel=1e-5), column
-    assert calibrator.largest_solver_difference(block, 2, found) < 1e-3
+    assert calibrator.largest_solver_difference(block, 2, calibrated) < 1e-3
 
 
 def test_trial_that_the_batch_gives_up_is_done_alone() -> None:
@@ -62,6 +62,6 @@ def test_trial_that_the_batch_gives_up_is_done_alone() -> None:
     block.single_trial_batches[3].reading_deviations[11, 0] += 0.02
     block.reading_deviations[stack.recording_row_of_pointing[:, 3] == 11, 0, 3] += 0.02
     calibrator = StackCalibrator.for_stack(CalibrationMethod(), stack)
-    found: CalibratedBatch = calibrator.calibrate(block, np.arange(TRIALS))
-    assert found.status_indices.tolist() == [0, 0, 0, 1, 0]
-    assert np.abs(found.instrument_values[:, :, 3] / found.instrument_sigmas[:, :, 3]).max() < 1e3
+    calibrated: CalibratedBatch = calibrator.calibrate(block, np.arange(TRIALS))
+    assert calibrated.status_indices.tolist() == [0, 0, 0, 1, 0]
+    assert np.abs(calibrated.instrument_values[:, :, 3] / calibrated.instrument_sigmas[:, :, 3]).max() < 1e3

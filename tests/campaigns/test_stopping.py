@@ -53,11 +53,11 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path]
 
 def test_cells_stop_and_answer_as_the_full_run_does(folders: tuple[Path, Path, Path]) -> None:
     _, stopped, full = folders
-    found, whole = (CampaignResults(folder).statistic_summaries("target_error_um") for folder in (stopped, full))
+    summaries, whole = (CampaignResults(folder).statistic_summaries("target_error_um") for folder in (stopped, full))
     assert [s.trials for s in whole] == [2048] * 4
-    trials = [s.trials for s in found]
+    trials = [s.trials for s in summaries]
     assert trials[0] < trials[3] < trials[2] < 2048  # much noise in one face needs most
-    for few, all_ in zip(found, whole, strict=True):
+    for few, all_ in zip(summaries, whole, strict=True):
         assert 0.5 * (few.high - few.low) <= 0.28
         assert few.low <= all_.mean <= few.high
     rows = [
@@ -89,7 +89,7 @@ def test_stopping_is_the_same_with_two_workers_and_after_any_interruption(
 
 def halves(means: list[float], shards: int, *, looks: int, seed: int) -> dict[tuple[int, str], float]:
     """Half of the intervals by the first shards of cells with the same draws and some of their own."""
-    found = {}
+    half_widths = {}
     for cell, mean in enumerate(means):
         parts = [
             mean
@@ -99,8 +99,8 @@ def halves(means: list[float], shards: int, *, looks: int, seed: int) -> dict[tu
         ]
         values = np.concatenate(parts)
         level = interval_error_rate(looks * SHARD, SHARD, is_stopping=True)
-        found[cell, METHOD] = student_t_quantile(len(values), level) * values.std(ddof=1) / np.sqrt(len(values))
-    return found
+        half_widths[cell, METHOD] = student_t_quantile(len(values), level) * values.std(ddof=1) / np.sqrt(len(values))
+    return half_widths
 
 
 def spent(means: list[float], *, within: float, seed: int = 1) -> list[int]:
@@ -113,7 +113,7 @@ def spent(means: list[float], *, within: float, seed: int = 1) -> list[int]:
     return [sum(cell == k for cell, _ in done) for k in range(len(means))]
 
 
-def test_one_round_is_enough_where_the_bound_is_wide() -> None:
+def test_a_single_round_is_enough_where_the_bound_is_wide() -> None:
     assert spent([0.0, 1.0, 1.005, 2.0], within=0.4) == [1, 1, 1, 1]
 
 
@@ -140,8 +140,8 @@ def test_rounds_end_at_the_first_look_that_knows_enough() -> None:
     for seed in range(5):
         count = spent([0.0], within=0.1, seed=seed)[0]
         looks = [shards for shards in stopping_evaluation_schedule(40 * SHARD, SHARD) if shards <= count]
-        known = [halves([0.0], shards, looks=40, seed=seed)[0, METHOD] for shards in looks]
-        assert count == looks[-1] and known[-1] <= 0.1 and all(half > 0.1 for half in known[:-1])
+        widths = [halves([0.0], shards, looks=40, seed=seed)[0, METHOD] for shards in looks]
+        assert count == looks[-1] and widths[-1] <= 0.1 and all(half > 0.1 for half in widths[:-1])
 
 
 def test_looks_are_half_as_many_trials_again() -> None:

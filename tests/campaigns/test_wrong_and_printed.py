@@ -33,32 +33,32 @@ def rows(key: str, value: Any, trials: int, *methods: dict[str, Any], **more: An
     return {name: np.array(column) for name, column in table.to_pydict().items()}
 
 
-def mean(found: dict[str, Any], column: str, method: str) -> float:
-    return float(np.mean(found[column][found["method"] == method].astype(float)))
+def mean(columns: dict[str, Any], column: str, method: str) -> float:
+    return float(np.mean(columns[column][columns["method"] == method].astype(float)))
 
 
 @pytest.mark.long
 def test_the_batch_finds_the_minimum_of_equation_9_that_users_find() -> None:
-    found = rows("work.faces", 1, 4, {"method": "equation-9"}, {"method": "equation-9-l1"})
-    gaps = found["full_difference_sigma"].astype(float)
+    columns = rows("work.faces", 1, 4, {"method": "equation-9"}, {"method": "equation-9-l1"})
+    gaps = columns["full_difference_sigma"].astype(float)
     assert np.sum(np.isfinite(gaps)) == 4
     assert np.nanmax(gaps) < 1e-3
-    assert set(found["status"]) == {"converged"}
+    assert set(columns["status"]) == {"converged"}
 
 
-def test_a_wrong_prior_changes_what_is_stated_and_nothing_that_is_true() -> None:
+def test_a_wrong_prior_changes_declared_values_and_no_true_values() -> None:
     wide = change_scenario(PAPER, {"instrument.prior_factor": 100.0}, FILE)
-    (right, truth), (stated, same) = simulate(PAPER, 3), simulate(wide, 3)
-    assert stated.setup.instrument.prior.angle_arcsec == 100 * right.setup.instrument.prior.angle_arcsec
+    (right, truth), (recordings, same) = simulate(PAPER, 3), simulate(wide, 3)
+    assert recordings.setup.instrument.prior.angle_arcsec == 100 * right.setup.instrument.prior.angle_arcsec
     assert dict(truth.instrument_values) == dict(same.instrument_values)
-    np.testing.assert_array_equal(right.readings, stated.readings)
+    np.testing.assert_array_equal(right.readings, recordings.readings)
 
 
 @pytest.mark.long
 def test_what_is_applied_minds_a_wrong_prior_less_than_the_estimates() -> None:
     applied = {"name": "applied", "solver": "single", "uses_applied_corrections": True}
-    found = rows("instrument.prior_factor", 1000.0, 4, applied, {"name": "estimates"})
-    assert mean(found, ERROR, "applied") < mean(found, ERROR, "estimates")
+    columns = rows("instrument.prior_factor", 1000.0, 4, applied, {"name": "estimates"})
+    assert mean(columns, ERROR, "applied") < mean(columns, ERROR, "estimates")
 
 
 def test_an_instrument_that_changed_reads_otherwise_where_it_is_judged() -> None:
@@ -90,6 +90,6 @@ def test_a_repeated_statistic_counts_once() -> None:
     "method",
     [{"uses_applied_corrections": True}, {"uses_applied_corrections": True, "solver": "single", "method": "distance"}],
 )
-def test_what_is_applied_is_known_of_single_networks_alone(method: dict[str, Any]) -> None:
+def test_applied_values_exist_for_single_networks_only(method: dict[str, Any]) -> None:
     with pytest.raises(RecordError, match=r"solver = .single."):
         validate_settings({"format": "ltsim-campaign/1", "methods": [method]}, CampaignFile, "campaign", FILE)

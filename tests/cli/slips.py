@@ -451,23 +451,23 @@ def _fault(seed: int, number: int, change: Callable[[bytes, str], bytes] | None 
     changed = before[file] if whole else change(before[file], name) if change else slip(before[file], name, rng)
     file.write_bytes(changed)
     held = _restarted_peak()
-    said, told = io.StringIO(), io.StringIO()
+    error_stream, output = io.StringIO(), io.StringIO()
     signal.setitimer(signal.ITIMER_VIRTUAL, SECONDS)
     try:
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(told):
+        with contextlib.redirect_stdout(error_stream), contextlib.redirect_stderr(output):
             status = _status(words)
     finally:
         signal.setitimer(signal.ITIMER_VIRTUAL, 0)
         _restore(file, before)
-    errors = [line for line in told.getvalue().splitlines() if line.startswith("error: ")]
+    errors = [line for line in output.getvalue().splitlines() if line.startswith("error: ")]
     refused = (status == 2 and len(errors) == 1) or (status == 130 and words[0] in LONG)
     right = status in (0, 1) or (refused and not whole)  # a sample that is refused would test nothing
     growth = _memory("VmHWM") - held
-    if right and "Traceback" not in told.getvalue() and growth < GROWTH_KIB:
+    if right and "Traceback" not in output.getvalue() and growth < GROWTH_KIB:
         return ""
     copy = Path(tempfile.gettempdir(), f"slip-{seed}-{number}-{file.name}")
     copy.write_bytes(changed)
-    end = f"{status}, {growth >> 10} MiB, {told.getvalue()[-1500:]}"
+    end = f"{status}, {growth >> 10} MiB, {output.getvalue()[-1500:]}"
     return f"slip {number} of seed {seed} ({copy}), {' '.join(words)}: {end}"
 
 
@@ -522,9 +522,9 @@ def main(seed: int, first: int, count: int, stride: int = 0, end: int = 20_000) 
     """Print the faults of a block of slips, or of every block `stride` slips further up to `end`, as lines of JSON."""
     for block in range(first, end, stride) if stride else (first,):
         start, begun = time.monotonic(), time.process_time()
-        found = faults(seed, block, count)
+        problems = faults(seed, block, count)
         seconds = {"seconds": round(time.monotonic() - start, 1), "processor": round(time.process_time() - begun, 1)}
-        line = {"seed": seed, "first": block, "count": count, **seconds, "faults": found}
+        line = {"seed": seed, "first": block, "count": count, **seconds, "faults": problems}
         print(json.dumps(line), file=sys.__stdout__, flush=True)
 
 

@@ -27,8 +27,8 @@ def test_campaign_answers_in_tables_and_writes_a_summary(tmp_path: Path, capsys:
     file = tmp_path / "noise.toml"
     file.write_text(FILE)
     assert run(["campaign", str(file)]) == 0
-    said = capsys.readouterr().out
-    assert "\nnoise factor   method" in said and "share removed" in said
+    output = capsys.readouterr().out
+    assert "\nnoise factor   method" in output and "share removed" in output
     with (tmp_path / "noise" / "summary.csv").open(newline="") as stream:
         lines = list(csv.DictReader(stream))
     share = [float(line["mean"]) for line in lines if line["column"] == "share_removed"]
@@ -41,7 +41,7 @@ def test_campaign_answers_in_tables_and_writes_a_summary(tmp_path: Path, capsys:
     assert [end["trials"] for end in answer["solver_comparisons"]] == [300, 300]
 
 
-def test_disagreement_with_the_full_solver_is_exit_status_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_disagreement_with_the_full_solver_is_exit_status_1(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = tmp_path / "noise.toml"
     file.write_text(FILE)
     monkeypatch.setattr("ltsim.campaigns.trial_calibrators.BatchCalibrator.largest_solver_difference", lambda *_: 0.01)
@@ -75,6 +75,6 @@ def test_the_example_can_be_printed_and_run(tmp_path: Path, capsys: pytest.Captu
     file = tmp_path / "example.toml"
     file.write_text(capsys.readouterr().out.replace("trials = 10000", "trials = 64"))
     assert run(["campaign", str(file)]) == 0
-    said = capsys.readouterr().out
-    assert any(line.split()[:2] == ["0.5", "paper"] for line in said.splitlines())
+    output = capsys.readouterr().out
+    assert any(line.split()[:2] == ["0.5", "paper"] for line in output.splitlines())
     assert run(["campaign"]) == 2

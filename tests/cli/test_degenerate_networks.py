@@ -63,7 +63,7 @@ def on_a_sphere(count: int, rng: Rng) -> Points:
     return 5.0 * way / np.linalg.norm(way, axis=1, keepdims=True)
 
 
-def in_one_place(count: int, rng: Rng) -> Points:
+def at_common_place(count: int, rng: Rng) -> Points:
     return np.tile(rng.uniform(-5.0, 5.0, 3), (count, 1))
 
 
@@ -85,7 +85,7 @@ def over_all_scales(count: int, rng: Rng) -> Points:
 
 PLACES: tuple[Place, ...] = (
     *(in_a_box, on_a_line, on_a_vertical_line, in_a_plane, in_a_horizontal_plane, on_a_circle, on_a_sphere),
-    *(in_one_place, in_two_places, close_together, far_away, over_all_scales),
+    *(at_common_place, in_two_places, close_together, far_away, over_all_scales),
 )
 SIZES = ((1, 1), (1, 2), (1, 12), (2, 1), (2, 2), (2, 3), (2, 4), (3, 5), (4, 12), (6, 3), (9, 2), (3, 25))
 """Numbers of set-ups and targets."""
@@ -167,7 +167,7 @@ def mirrored(recording: Recording, rng: Rng) -> Recording:
     return _with(recording, recording.readings * np.stack([sense**2, sense, sense**2], axis=1))
 
 
-def at_one_moment(recording: Recording, rng: Rng) -> Recording:
+def at_equal_times(recording: Recording, rng: Rng) -> Recording:
     return recording.replace(time=np.full(len(recording), float(rng.choice([0.0, 1e9]))), has_clock=True)
 
 
@@ -182,7 +182,7 @@ def weather(recording: Recording, rng: Rng) -> Recording:
 
 CHANGES: tuple[Callable[[Recording, Rng], Recording], ...] = (
     *(no_change, without_readings, without_observables, observables_by_station, constant, every_pointing_again),
-    *(other_targets, few_pointings, second_face, extreme_readings, mirrored, at_one_moment, backwards, weather),
+    *(other_targets, few_pointings, second_face, extreme_readings, mirrored, at_equal_times, backwards, weather),
 )
 
 
@@ -243,39 +243,39 @@ def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def fault(words: tuple[str, ...]) -> str:
     """Fault of one verb on the recording `network`; empty for an answer or one sentence."""
-    told = io.StringIO()
+    stream = io.StringIO()
     begun = os.times().user
     with (
         warnings.catch_warnings(record=True) as warned,
         contextlib.redirect_stdout(io.StringIO()),
-        contextlib.redirect_stderr(told),
+        contextlib.redirect_stderr(stream),
     ):
         warnings.simplefilter("always")
         status = run([words[0], "network", *words[1:], "--out", "out", "--force"])
-    errors = [line for line in told.getvalue().splitlines() if line.startswith("error: ")]
+    errors = [line for line in stream.getvalue().splitlines() if line.startswith("error: ")]
     right = status in (0, 1) or (status == 2 and len(errors) == 1)
-    if right and "Traceback" not in told.getvalue() and not warned and os.times().user - begun < SECONDS:
+    if right and "Traceback" not in stream.getvalue() and not warned and os.times().user - begun < SECONDS:
         return ""
     places = sorted({f"{Path(w.filename).name}:{w.lineno} {w.message}" for w in warned})
-    seen = f"{os.times().user - begun:.0f} s, {places}, {told.getvalue()[-1500:]}"
-    return f"{' '.join(words)}: {status}, {seen}"
+    details = f"{os.times().user - begun:.0f} s, {places}, {stream.getvalue()[-1500:]}"
+    return f"{' '.join(words)}: {status}, {details}"
 
 
 def faults(first: int, count: int) -> list[str]:
     """Faults of the verbs on some networks, in the working folder."""
-    found = []
+    problems = []
     for seed in range(first, first + count):
         ways, recording = network(seed)
         try:
             lt.write(recording, Path("network"))
         except LtsimError:
             continue  # the set-up does not fit the network
-        found += [f"network {seed} ({ways}): {said}" for words in VERBS if (said := fault(words))]
-    return found
+        problems += [f"network {seed} ({ways}): {problem}" for words in VERBS if (problem := fault(words))]
+    return problems
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("first", range(0, NETWORKS, BLOCK))
 def test_degenerate_networks_end_in_an_answer_or_a_sentence(first: int, workplace: Path) -> None:
-    found = faults(first, BLOCK)
-    assert not found, "\n\n".join(found)
+    problems = faults(first, BLOCK)
+    assert not problems, "\n\n".join(problems)

@@ -17,18 +17,18 @@ from ltsim.physics.effects import find_effect
 def test_first_steps(tmp_path: Path) -> None:
     assert "5 stations, 28 reflectors, 140 pointings" in simulate_workshop(tmp_path, 1)
     assert "stations agree about distances" in calibrate_workshop(tmp_path, 1)
-    found = {str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*") if p.is_file()}
+    names = {str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*") if p.is_file()}
     assert {
         "workshop/recording/observations.csv",
         "workshop/truth.json",
         "workshop/calibration.json",
-    } <= found
+    } <= names
 
 
 def test_hidden_effects_exist_with_their_parameters() -> None:
     for entry in DEMO_EFFECTS:
-        known = {p.name for p in find_effect(entry["name"]).parameters}
-        assert set(entry["values"]) <= known
+        parameters = {p.name for p in find_effect(entry["name"]).parameters}
+        assert set(entry["values"]) <= parameters
     drawn = {int(random_stream(seed, "demo", "hidden").integers(len(DEMO_EFFECTS))) for seed in range(40)}
     assert drawn == set(range(len(DEMO_EFFECTS)))
 

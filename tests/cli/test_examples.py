@@ -42,7 +42,9 @@ def test_all_files_are_written_and_read_as_what_they_are(tmp_path: Path, capsys:
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["hall.csv", "uncertainty.toml", "acceptance.toml", "workshop.toml"])
-def test_a_command_beside_a_file_runs_as_it_stands(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_command_of_an_example_file_runs_unchanged(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     assert run(["examples", ".", "--quiet"]) == 0
     command = COMMAND_BY_EXAMPLE_FILE[name] or "ltsim calibrate survey.csv --frame hall.csv --out calibrated"

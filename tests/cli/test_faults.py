@@ -27,7 +27,7 @@ from ltsim.simulation.simulator import simulate
 START = "from ltsim.cli.main import main; main()"
 
 
-def test_a_fault_of_ltsim_has_a_status_of_its_own(
+def test_an_internal_error_has_a_separate_exit_status(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def broken(*_: object, **__: object) -> None:
@@ -35,9 +35,9 @@ def test_a_fault_of_ltsim_has_a_status_of_its_own(
 
     monkeypatch.setattr(effects, "_effect_list_line", broken)
     assert run(["effects"]) == 70
-    said = capsys.readouterr().err
-    assert "Traceback" in said and "nobody expects this" in said
-    assert said.splitlines()[-1].startswith("error: internal error of ltsim (IndexError)")
+    error_text = capsys.readouterr().err
+    assert "Traceback" in error_text and "nobody expects this" in error_text
+    assert error_text.splitlines()[-1].startswith("error: internal error of ltsim (IndexError)")
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no full disk at hand")
@@ -72,12 +72,12 @@ def test_sizes_that_no_machine_holds_are_a_sentence(
     scenario = capsys.readouterr().out.replace("size_mm = [6000, 6000, 6000]", "size_mm = [1e9, 1e9, 6000]")
     Path("wide.toml").write_text(scenario)
     assert run(arguments) == 2
-    said = capsys.readouterr()
-    assert said.out == "" and said.err.count("\n") == 1
-    assert words in said.err
+    captured = capsys.readouterr()
+    assert captured.out == "" and captured.err.count("\n") == 1
+    assert words in captured.err
 
 
-def test_an_interrupted_campaign_says_what_is_kept(
+def test_an_interrupted_campaign_reports_the_finished_shards(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     from ltsim.campaigns import campaign
@@ -92,22 +92,22 @@ def test_an_interrupted_campaign_says_what_is_kept(
     monkeypatch.setattr(campaign, "n_rows_of_shard", stop)
     (tmp_path / "few.toml").write_text('format = "ltsim-campaign/1"\ntrials = 8\ntrials_per_shard = 4\n')
     assert run(["campaign", str(tmp_path / "few.toml")]) == 130
-    said = capsys.readouterr().err
+    error_text = capsys.readouterr().err
     remaining = f"1 files with results of finished trials remain in {tmp_path / 'few'}"
-    assert said == f"interrupted; {remaining}; continue with --resume\n"
+    assert error_text == f"interrupted; {remaining}; continue with --resume\n"
 
 
 def test_a_pipe_gets_a_sign_of_life(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(terminal, "FIRST_PROGRESS_DELAY_S", 0.01)
     for quiet in (False, True):
-        told = io.StringIO()
-        monkeypatch.setattr(sys, "stderr", told)
+        stream = io.StringIO()
+        monkeypatch.setattr(sys, "stderr", stream)
         with Terminal(quiet).show_progress("trials", 200) as advance:
             advance(7)
             deadline = time.monotonic() + 60
-            while "7 of 200" not in told.getvalue() and not quiet and time.monotonic() < deadline:
+            while "7 of 200" not in stream.getvalue() and not quiet and time.monotonic() < deadline:
                 time.sleep(0.005)
-        lines = told.getvalue().splitlines()
+        lines = stream.getvalue().splitlines()
         assert lines == [] if quiet else lines[-1].startswith("trials: 7 of 200 (")
 
 
@@ -119,7 +119,7 @@ def test_a_reader_that_has_gone_is_no_failed_check(tmp_path: Path) -> None:
         assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_an_interruption_is_told(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_interruption_is_reported(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     def stop(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
@@ -155,8 +155,8 @@ def test_hostile_names_are_text_on_the_terminal(
     hostile = "\x1b]0;title\x07\u202eevil"
     assert run(["simulate", "paper-workshop", "--out", hostile]) == 0
     assert run(["adjust", hostile + "x"]) == 2
-    said = capsys.readouterr()
-    assert not {c for c in said.out + said.err if not c.isprintable()} - {"\n"}
+    captured = capsys.readouterr()
+    assert not {c for c in captured.out + captured.err if not c.isprintable()} - {"\n"}
 
 
 def test_a_recording_without_redundancy_has_a_diagnosis_in_json(
@@ -176,8 +176,8 @@ def test_a_report_goes_on_past_a_folder_that_cannot_be_read(capsys: pytest.Captu
     (tmp_path / "bad").mkdir()
     (tmp_path / "bad" / "calibration.json").write_text("{")
     assert run(["report", str(tmp_path)]) == 0
-    said = capsys.readouterr()
-    assert said.err.startswith(f"{tmp_path / 'bad' / 'calibration.json'}: is not JSON")
+    captured = capsys.readouterr()
+    assert captured.err.startswith(f"{tmp_path / 'bad' / 'calibration.json'}: is not JSON")
     page = (tmp_path / "report.html").read_text()
     assert "is not JSON" in page and "140 pointings" in page
 

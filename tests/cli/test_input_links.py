@@ -137,8 +137,8 @@ def test_an_input_that_is_no_file_is_refused(
     place = "place.stl" if name == "cad" else "place"
     replace(work / place, kind, made / "outside")
     assert run([word.replace("{}", place) for word in WORDS[verb, name].split()]) == 2
-    said = capsys.readouterr()
-    assert said.err.count("error: ") == 1 and place in said.err
+    captured = capsys.readouterr()
+    assert captured.err.count("error: ") == 1 and place in captured.err
     assert not list(work.glob("made*"))
 
 
@@ -151,11 +151,11 @@ def test_a_file_in_a_folder_that_is_no_file_is_refused(
     (work / file).unlink(missing_ok=True)
     replace(work / file, kind, made / "outside")
     status = run(words.split())
-    said = capsys.readouterr()
+    captured = capsys.readouterr()
     optional = file.endswith(("residuals.csv", "targets.csv", "covariance.csv", "rows.sha256"))  # a page says so
     assert status == 2 or (optional and status == 0)
-    assert said.err.count("error: ") == (status == 2) and "Traceback" not in said.err
-    assert status == 0 or Path(file).name in said.err, said.err
+    assert captured.err.count("error: ") == (status == 2) and "Traceback" not in captured.err
+    assert status == 0 or Path(file).name in captured.err, captured.err
     assert [p.name for p in (made / "outside").iterdir()] == ["pipe"]
 
 
@@ -177,6 +177,6 @@ def test_a_name_that_no_file_can_have_is_refused(words: str, work: Path, capsys:
     if words in FILES_WITH_NAME:
         (work / words.split()[1]).write_text(FILES_WITH_NAME[words])
     assert run(words.replace(f"--cad {LONG_NAME}", f"--cad {LONG_NAME}.stl").split()) == 2
-    said = capsys.readouterr()
-    assert said.err.count("error: ") == 1 and "xxxx" in said.err and "Traceback" not in said.err
+    captured = capsys.readouterr()
+    assert captured.err.count("error: ") == 1 and "xxxx" in captured.err and "Traceback" not in captured.err
     assert not list(work.glob("made*"))

@@ -112,7 +112,7 @@ def test_a_calibration_that_lacks_parameters_is_used_with_a_note(source: Path, t
 
 
 @pytest.mark.long
-def test_an_effect_fitted_beside_is_on_the_page_and_said_to_stay_in_the_readings(
+def test_a_requested_effect_is_on_the_page_and_reported_to_stay_in_the_readings(
     source: Path, tmp_path: Path, capsys
 ) -> None:
     fitted = tmp_path / "cal"
@@ -127,7 +127,7 @@ def test_an_effect_fitted_beside_is_on_the_page_and_said_to_stay_in_the_readings
     assert "stay in the readings: layered air" in capsys.readouterr().err
 
 
-def test_a_history_of_recordings_treats_each_alike(source: Path, tmp_path: Path, capsys) -> None:
+def test_a_history_of_recordings_treats_all_recordings_equally(source: Path, tmp_path: Path, capsys) -> None:
     recording, _ = network(faces=2, seed=9)
     noise = recording.reading_sigmas() * np.random.default_rng(3).standard_normal(recording.readings.shape)
     write(recording.with_readings(recording.readings + 2 * noise), tmp_path / "noisy")

@@ -29,10 +29,10 @@ def refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
     """The one sentence with which a command refuses, before it has computed anything."""
     capsys.readouterr()
     assert run(arguments) == 2
-    said = capsys.readouterr()
-    assert said.out == "" and said.err.count("\n") == 1
-    assert "--force" in said.err
-    return said.err
+    captured = capsys.readouterr()
+    assert captured.out == "" and captured.err.count("\n") == 1
+    assert "--force" in captured.err
+    return captured.err
 
 
 def test_a_recording_is_never_replaced_by_itself(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -58,7 +58,7 @@ def test_a_recording_is_never_replaced_by_itself(made: Path, capsys: pytest.Capt
     ],
     ids=lambda verb: " ".join(verb[:3]),
 )
-def test_a_command_given_twice_leaves_its_own_unmodified_output(
+def test_a_repeated_command_overwrites_its_unmodified_output(
     verb: list[str], made: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     """And nothing of it is replaced after one of its files was changed."""
@@ -72,8 +72,8 @@ def test_a_command_given_twice_leaves_its_own_unmodified_output(
         changed.write_bytes(files[changed] + b"\n")
         capsys.readouterr()
         assert run([*arguments, "-q"]) == 2
-        said = capsys.readouterr().err
-        assert said.count("\n") == 1 and "with another content" in said and "--force" in said
+        error_text = capsys.readouterr().err
+        assert error_text.count("\n") == 1 and "with another content" in error_text and "--force" in error_text
         assert changed.read_bytes() == files[changed] + b"\n"
         changed.write_bytes(files[changed])
 
@@ -113,9 +113,9 @@ def test_a_file_that_is_there_stops_every_verb(
     verb: list[str], name: str, made: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     (tmp_path / "few.toml").write_text('format = "ltsim-campaign/1"\ntrials = 2\n')
-    own = tmp_path / "out" / name
-    own.parent.mkdir(parents=True)
-    own.write_text("mine")
+    file = tmp_path / "out" / name
+    file.parent.mkdir(parents=True)
+    file.write_text("mine")
     named = {"REC": str(made / "rec"), "FILE": str(tmp_path / "few.toml")}
     arguments = [named.get(word, word) for word in verb]
     refused([*arguments, "--out", str(tmp_path / "out")], capsys)
@@ -167,7 +167,7 @@ def test_a_link_stays_and_a_pipe_is_written_to(made: Path, tmp_path: Path) -> No
     assert stat.S_ISCHR(Path("/dev/null").stat().st_mode)
 
 
-def test_an_own_result_without_its_digests_is_not_known(
+def test_a_result_without_digests_is_not_recognised(
     made: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     """A calibration that a person wrote is not replaced."""
@@ -195,8 +195,8 @@ def test_somebodys_folder_is_not_written_into(
     (tmp_path / "thesis.txt").write_text("mine")
     (tmp_path / "data.json").write_text("[1, 2]")
     arguments = [{"REC": str(made / "rec"), "CAL": str(made / "cal")}.get(word, word) for word in verb]
-    said = refused([*arguments, "--out", str(tmp_path)], capsys)
-    assert "data.json, thesis.txt, which ltsim did not create" in said
+    message = refused([*arguments, "--out", str(tmp_path)], capsys)
+    assert "data.json, thesis.txt, which ltsim did not create" in message
     assert sorted(p.name for p in tmp_path.iterdir()) == ["data.json", "thesis.txt"]
 
 

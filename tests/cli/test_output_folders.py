@@ -122,9 +122,11 @@ def test_nothing_outside_of_an_output_folder_changes(
         before = contents(outside)
         capsys.readouterr()
         status = run([*arguments, "-q"])
-        said = capsys.readouterr().err
-        assert status in (0, 1, 2) and said.count("error: ") == (status == 2) and "Traceback" not in said, said
-        assert contents(outside) == before, (arguments, said)
+        error_text = capsys.readouterr().err
+        assert status in (0, 1, 2) and error_text.count("error: ") == (status == 2) and "Traceback" not in error_text, (
+            error_text
+        )
+        assert contents(outside) == before, (arguments, error_text)
         return status
 
     for entry in entries:

@@ -42,8 +42,8 @@ def test_no_output_is_written_through_a_link(
     before = contents(outside)
     forced = ["--force"] if "force" in {p.name for p in command(verb).params} else []
     assert run([*arguments_of(verb, name, place), *forced]) == 2
-    said = capsys.readouterr()
-    assert said.out == "" and said.err.count("error: ") == 1
+    captured = capsys.readouterr()
+    assert captured.out == "" and captured.err.count("error: ") == 1
     assert os.read(reader, 100) == b""
     os.close(reader)
     assert contents(outside) == before

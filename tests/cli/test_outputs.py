@@ -102,10 +102,10 @@ def test_a_place_that_cannot_be_written_is_refused_before_the_inputs_are_read(
     place = fault(tmp_path)
     before = sorted(map(str, tmp_path.rglob("*")))
     assert run(arguments_of(verb, name, place)) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err.startswith(f"error: {place}")
-    assert said.err.count("\n") == 1
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith(f"error: {place}")
+    assert captured.err.count("\n") == 1
     assert sorted(map(str, tmp_path.rglob("*"))) == before
 
 
@@ -116,16 +116,16 @@ def test_a_file_is_no_folder_and_a_folder_no_file(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "folder" / "report.html").mkdir(parents=True)
     (tmp_path / "file").write_text("mine")
-    said = []
+    messages = []
     for place in ("folder", "file")[verb == "examples" :]:  # which goes beside what is there
         forced = ["--force"] if "force" in {p.name for p in command(verb).params} else []
         assert run([*arguments_of(verb, name, Path(place)), *forced]) == 2
-        said.append(capsys.readouterr().err)
-    assert [line for line in said if "expected a f" in line or "Not a directory" in line]
+        messages.append(capsys.readouterr().err)
+    assert [line for line in messages if "expected a f" in line or "Not a directory" in line]
     assert (tmp_path / "file").read_text() == "mine"
 
 
-def test_two_outputs_at_one_place_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_two_outputs_at_the_same_place_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     place = str(tmp_path / "one")
     assert run(["simulate", "paper-workshop", "--out", place, "--truth", place]) == 2
     assert "--out and --truth both name" in capsys.readouterr().err

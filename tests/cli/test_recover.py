@@ -57,7 +57,7 @@ def test_junit_names_every_check_and_what_failed(capsys, tmp_path: Path) -> None
     assert "junit.xml" in capsys.readouterr().err
 
 
-def test_a_junit_file_that_cannot_be_written_is_said_before_any_trial(capsys, monkeypatch) -> None:
+def test_a_junit_file_that_cannot_be_written_is_reported_before_any_trial(capsys, monkeypatch) -> None:
     monkeypatch.setattr("ltsim.recover", lambda *_, **__: pytest.fail("trials were run"))
     assert run(["recover", "paper-workshop-re-aimed", "-n", "2", "--junit", "/proc/nowhere.xml"]) == 2
     assert "nowhere.xml: cannot be written" in capsys.readouterr().err
@@ -73,5 +73,5 @@ def test_a_construction_that_does_not_fit_the_scenario(capsys, tmp_path: Path) -
 def test_the_same_for_any_number_of_workers(jobs: str, capsys, tmp_path: Path) -> None:
     for count, place in (("1", "one"), (jobs, "more")):
         run(["recover", "paper-workshop-re-aimed", "-n", "6", "--jobs", count, "--out", str(tmp_path / place), "-q"])
-    one, more = (tmp_path / place / "trials.csv" for place in ("one", "more"))
-    assert one.read_bytes() == more.read_bytes()
+    first_file, more = (tmp_path / place / "trials.csv" for place in ("one", "more"))
+    assert first_file.read_bytes() == more.read_bytes()

@@ -72,7 +72,7 @@ def test_help_without_arguments(capsys) -> None:
         (["simulate", "paper-workshop", "--seed", "1", "--seed=2", "--out", "x"], "--seed was given 2 times"),
     ],
 )
-def test_bad_usage_is_one_sentence_and_status_2(
+def test_bad_usage_is_a_sentence_and_status_2(
     arguments: list[str], sentence: str, capsys, monkeypatch, tmp_path
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -86,7 +86,7 @@ def test_bad_usage_is_one_sentence_and_status_2(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_calibrate_says_what_was_found_and_what_was_not(workplace: Path, capsys) -> None:
+def test_calibrate_reports_determined_and_undetermined_parameters(workplace: Path, capsys) -> None:
     assert run(["calibrate", str(workplace / "rec")]) == 0
     text = capsys.readouterr().out
     assert "the readings agree with the model and the declared noise (chi2 " in text
@@ -121,8 +121,8 @@ def test_evaluate_before_and_after(workplace: Path, capsys, tmp_path: Path) -> N
     content = json.loads(capsys.readouterr().out)
     assert content["distance"]["improvement_percent"] > 20
     assert json.loads((tmp_path / "criteria.json").read_text()) == content
-    kept = json.loads((workplace / "cal" / "calibration.json").read_text())["criteria"]
-    assert kept["coordinate"]["after"] == pytest.approx(content["coordinate"]["after"], rel=1e-6)
+    criteria = json.loads((workplace / "cal" / "calibration.json").read_text())["criteria"]
+    assert criteria["coordinate"]["after"] == pytest.approx(content["coordinate"]["after"], rel=1e-6)
     assert run(["evaluate", rec]) == 0
     assert "coordinate" in capsys.readouterr().out
 
@@ -173,8 +173,8 @@ def test_convert_there_and_back(workplace: Path, capsys, tmp_path: Path) -> None
     assert run(["convert", str(workplace / "rec"), text, "--to", "polar-text", "-q"]) == 0
     status = run(["convert", text, back, "--hint", "azimuth=counter-clockwise", "--hint", "angle=deg", "-q"])
     assert status == 0
-    one, other = read(workplace / "rec"), read(Path(back))
-    assert len(one) == len(other)
+    recording, other = read(workplace / "rec"), read(Path(back))
+    assert len(recording) == len(other)
     assert run(["convert", str(workplace / "rec"), str(tmp_path / "x"), "--to", "papyrus"]) == 2
     assert "papyrus" in capsys.readouterr().err
 
@@ -257,7 +257,7 @@ def test_picture_of_a_check_waits_for_no_campaign(workplace: Path, tmp_path: Pat
     assert not {"duckdb", "pyarrow", "numba", "scipy.stats", "ltsim.campaigns", "ltsim.diagnosis.diagnosis"} & loaded
 
 
-def test_one_effect_loads_no_file_format() -> None:
+def test_a_single_effect_loads_no_file_format() -> None:
     code = "import sys, ltsim.physics.effects.beam_tilt; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = set(done.stdout.split())

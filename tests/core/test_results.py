@@ -104,19 +104,19 @@ def test_a_result_gives_its_tables_by_name():
 
 
 def test_results_are_equal_where_their_values_are():
-    one, other = Cloud(np.array([[1.0, np.nan]])), Cloud(np.array([[1.0, np.nan]]))
-    assert one == other
-    assert hash(one) == hash(other)
-    assert one != replace(other, points=np.array([[1.0, 2.0]]))
-    assert one != replace(other, points=other.points.astype(np.float32))
-    assert one != replace(other, name="fog")
+    cloud, other = Cloud(np.array([[1.0, np.nan]])), Cloud(np.array([[1.0, np.nan]]))
+    assert cloud == other
+    assert hash(cloud) == hash(other)
+    assert cloud != replace(other, points=np.array([[1.0, 2.0]]))
+    assert cloud != replace(other, points=other.points.astype(np.float32))
+    assert cloud != replace(other, name="fog")
     assert equal_values({"a": (1, np.arange(3))}, {"a": (1, np.arange(3))})
     assert equal_values(sp.csr_array(np.eye(3)), sp.csr_array(np.eye(3)))
     assert not equal_values(sp.csr_array(np.eye(3)), sp.csr_array(2 * np.eye(3)))
     assert not equal_values([1, 2], [1, 3])
 
 
-def test_data_classes_below_keep_their_own_representation():
+def test_nested_data_classes_have_their_usual_representation():
     @dataclass(frozen=True)
     class Pair(ValueEquality):
         both: np.ndarray
@@ -126,7 +126,7 @@ def test_data_classes_below_keep_their_own_representation():
 
 
 @pytest.fixture(scope="module")
-def kept() -> dict[str, Any]:
+def results_by_name() -> dict[str, Any]:
     recording = lt.simulate("paper-workshop", seed=7).recording
     calibration = lt.calibrate(recording)
     return {
@@ -149,20 +149,26 @@ NAMES = "recording scenario truth calibration dh adjustment criteria history che
 
 
 @pytest.mark.parametrize("name", NAMES.split())
-def test_every_result_can_be_copied_pickled_and_compared(name: str, kept):
-    result = kept[name]
+def test_every_result_can_be_copied_pickled_and_compared(name: str, results_by_name):
+    result = results_by_name[name]
     for again in (copy.copy(result), copy.deepcopy(result), pickle.loads(pickle.dumps(result))):
         assert again == result
         assert repr(again) == repr(result)
-    assert all(other is result or other != result for other in kept.values())
+    assert all(other is result or other != result for other in results_by_name.values())
 
 
 @pytest.fixture(scope="module", params=family(["cheap", "all"]))
-def drawn(request: pytest.FixtureRequest, kept: dict[str, Any], tmp_path_factory: pytest.TempPathFactory) -> list[Any]:
+def drawn(
+    request: pytest.FixtureRequest, results_by_name: dict[str, Any], tmp_path_factory: pytest.TempPathFactory
+) -> list[Any]:
     """Results that cost little in every run, one of every result in the long one."""
     if request.param == "cheap":
-        return [result for name, result in kept.items() if name not in ("truth", "catalogue")]
-    recording, calibration, folder = kept["recording"], kept["calibration"], tmp_path_factory.mktemp("results")
+        return [result for name, result in results_by_name.items() if name not in ("truth", "catalogue")]
+    recording, calibration, folder = (
+        results_by_name["recording"],
+        results_by_name["calibration"],
+        tmp_path_factory.mktemp("results"),
+    )
     small = {
         "format": "ltsim-campaign/1",
         "scenario": "paper-workshop",
@@ -177,7 +183,7 @@ def drawn(request: pytest.FixtureRequest, kept: dict[str, Any], tmp_path_factory
         'format = "ltsim-plan/1"\n[search]\nstarts = 1\ngrid_step_mm = 3000\nyaw_count = 1\nheight_count = 1\n'
     )
     return [
-        *(result for name, result in kept.items() if name not in ("truth", "catalogue")),
+        *(result for name, result in results_by_name.items() if name not in ("truth", "catalogue")),
         lt.adjust(recording),
         lt.next_measurement(recording),
         lt.recover("paper-workshop", trials=3),
@@ -225,13 +231,13 @@ def test_every_result_is_drawn_with_what_its_axes_mean_and_has_a_table(
         assert isinstance(figure, Figure)
         for ax in figure.axes:
             assert ax.lines or ax.collections or ax.patches or ax.texts, "no panel is empty without a word"
-        told = [words for ax in figure.axes for words in (ax.get_xlabel(), ax.get_ylabel())]
-        told += [ax.get_title(loc) for ax in figure.axes for loc in ("left", "right")]
-        assert any(told) or figure.get_supxlabel(), type(result)
+        labels = [words for ax in figure.axes for words in (ax.get_xlabel(), ax.get_ylabel())]
+        labels += [ax.get_title(loc) for ax in figure.axes for loc in ("left", "right")]
+        assert any(labels) or figure.get_supxlabel(), type(result)
         assert isinstance(result, View | Scenario | Adjustment) or len(result.to_dataframe().columns), type(result)
 
 
-def test_every_table_of_every_result_reads_its_own_csv_back(drawn: list[Any]):
+def test_every_table_of_every_result_reads_its_csv_file(drawn: list[Any]):
     for result in drawn:
         for name in result._table_makers():
             table = result.table(name)
@@ -240,9 +246,13 @@ def test_every_table_of_every_result_reads_its_own_csv_back(drawn: list[Any]):
             assert len(again.rows) == len(table.rows), (type(result), name)
 
 
-def test_the_parts_of_a_result_are_compared_by_value(drawn: list[Any], kept: dict[str, Any]):
+def test_the_parts_of_a_result_are_compared_by_value(drawn: list[Any], results_by_name: dict[str, Any]):
     """Those of an adjustment are the solver's matrices, which nobody compares."""
-    whole = [result for result in [*drawn, kept["truth"]] if is_dataclass(result) and type(result) is not Adjustment]
+    whole = [
+        result
+        for result in [*drawn, results_by_name["truth"]]
+        if is_dataclass(result) and type(result) is not Adjustment
+    ]
     for result in whole:
         held = [getattr(result, field.name) for field in fields(result)]
         parts = [part for value in held for part in (value if isinstance(value, tuple) else (value,))]
@@ -266,9 +276,9 @@ def test_what_has_no_table_says_so():
         lt.view("paper-workshop").to_dataframe()
 
 
-def test_what_has_no_picture_says_so(kept):
+def test_what_has_no_picture_says_so(results_by_name):
     with pytest.raises(ModelError, match="has no figure"):
-        kept["catalogue"].plot()
+        results_by_name["catalogue"].plot()
 
 
 def test_a_coordinate_that_rounds_to_zero_has_no_sign() -> None:

@@ -83,7 +83,7 @@ def test_permissions_are_those_of_the_umask(umask: int, tmp_path: Path) -> None:
         assert path.stat().st_mode & 0o777 == (0o777 if path.is_dir() else 0o666) & ~umask
 
 
-def test_a_link_inside_the_folder_stays_and_one_that_leaves_is_refused(tmp_path: Path) -> None:
+def test_a_link_inside_the_folder_stays_and_a_link_out_of_it_is_refused(tmp_path: Path) -> None:
     folder = tmp_path / "out"
     folder.mkdir()
     (folder / "real.txt").write_text("old")
@@ -128,9 +128,9 @@ def test_nothing_behind_a_link_is_removed_or_written(tmp_path: Path) -> None:
     folder, elsewhere = tmp_path / "out", tmp_path / "elsewhere"
     folder.mkdir()
     elsewhere.mkdir()
-    left, note = ".ltsim-999999999-00000000-00000000.tmp", ".ltsim-999999999-00000000-00000000.moves"
-    (elsewhere / left).write_text("theirs")
-    (elsewhere / "note").write_text(json.dumps({left: "taken"}))
+    temporary, note = ".ltsim-999999999-00000000-00000000.tmp", ".ltsim-999999999-00000000-00000000.moves"
+    (elsewhere / temporary).write_text("theirs")
+    (elsewhere / "note").write_text(json.dumps({temporary: "taken"}))
     (folder / "sub").symlink_to(elsewhere)
     (folder / note).symlink_to(elsewhere / "note")
     os.mkfifo(elsewhere / "pipe")
@@ -143,7 +143,7 @@ def test_nothing_behind_a_link_is_removed_or_written(tmp_path: Path) -> None:
         check_writable(folder / "pipe", is_folder=False)
     assert os.read(reader, 100) == b""
     os.close(reader)
-    assert sorted(p.name for p in elsewhere.iterdir()) == [left, "note", "pipe"]
+    assert sorted(p.name for p in elsewhere.iterdir()) == [temporary, "note", "pipe"]
 
 
 def test_a_pipe_or_device_is_neither_read_nor_replaced(tmp_path: Path) -> None:
@@ -170,7 +170,7 @@ def test_another_name_of_a_file_is_not_appended_to(tmp_path: Path) -> None:
         storage.require_no_link(tmp_path / "folder", "lock")
 
 
-def test_what_another_process_is_writing_is_left_alone(tmp_path: Path) -> None:
+def test_files_that_another_process_writes_are_not_removed(tmp_path: Path) -> None:
     theirs = tmp_path / f".ltsim-{os.getppid()}-00000000-00000000.tmp"
     theirs.write_text("half")
     write_files(tmp_path, {"mine": b"whole"})

@@ -46,8 +46,8 @@ FEW = {
 @pytest.mark.long
 @pytest.mark.parametrize("rows", FEW.values(), ids=FEW)
 def test_little_data_is_written_down_and_names_nothing(rows, tmp_path):
-    found = diagnose(few(rows))
-    content = write_diagnosis(found, tmp_path)
+    diagnosis = diagnose(few(rows))
+    content = write_diagnosis(diagnosis, tmp_path)
     assert content.verdict == "consistent"
     assert (tmp_path / "diagnosis.json").is_file()
 
@@ -64,7 +64,7 @@ def test_a_network_high_above_its_datum_without_a_clock_is_diagnosed():
     setup = recording.setup.model_copy(update={"targets": {**recording.setup.targets, **targets}})
     readings = recording.readings.copy()
     readings[:, 1] += 9e-6 * np.sin(3 * readings[:, 1])
-    found = diagnose(recording.replace(setup=setup, readings=readings, has_clock=False, time=np.arange(84.0)))
-    assert found.final_adjustment.state.target_points[:, 2].min() > 390.0
-    assert found.verdict == "mismatch"
-    assert all(p.unit not in ("s", "min", "h") for f in found.findings for p in f.parameters)
+    diagnosis = diagnose(recording.replace(setup=setup, readings=readings, has_clock=False, time=np.arange(84.0)))
+    assert diagnosis.final_adjustment.state.target_points[:, 2].min() > 390.0
+    assert diagnosis.verdict == "mismatch"
+    assert all(p.unit not in ("s", "min", "h") for f in diagnosis.findings for p in f.parameters)

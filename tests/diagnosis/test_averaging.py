@@ -29,7 +29,7 @@ from tests.networks import network
 
 @pytest.mark.parametrize("size", [0.01, 0.1, 1.0, 10.0])
 @pytest.mark.parametrize("along", [0.02, 0.3])
-def test_coordinates_become_much_worse_as_rarely_as_is_said(size, along):
+def test_coordinates_become_much_worse_as_rarely_as_reported(size, along):
     """The error is drawn of which nothing is known but its covariance; a share of it lies along the change."""
     count, spread = 60, size * along
     share = max_subtracted_shift_fraction(size, spread, 1.0)
@@ -56,10 +56,10 @@ def test_what_two_laws_that_share_much_do_to_the_targets_is_what_a_refit_with_bo
     elevation = RESPONSE_AND_DESIGN_BY_NAME["elevation"][0]
     laws = [EmpiricalLaw((), (), elevation, smooth_regressor(name)) for name in ("time", "station-time")]
     fitted = case.refit(laws, case.reading_sigmas)
-    found = case.searcher.model_with([Hypothesis(law, 0.0, 0.0, "unknown") for law in laws])
+    model = case.searcher.model_with([Hypothesis(law, 0.0, 0.0, "unknown") for law in laws])
     points = baseline.state.target_points
     basis = points - points.mean(axis=0)
-    linear = -case.searcher.residual_space.target_shifts(first_order_reading_change(case.searcher, found))
+    linear = -case.searcher.residual_space.target_shifts(first_order_reading_change(case.searcher, model))
     expected, shift = (
         remove_rigid_motion(change.reshape(-1, 1), basis, baseline.problem.free_motions)
         for change in (fitted.adjustment.state.target_points - points, linear)
@@ -67,11 +67,11 @@ def test_what_two_laws_that_share_much_do_to_the_targets_is_what_a_refit_with_bo
     assert np.linalg.norm(expected) > 1e-5
     np.testing.assert_allclose(shift, expected, atol=0.01 * np.abs(expected).max())
     targets, change = average_over_explanations(
-        case.searcher, found, [HypothesisRanking(found.hypotheses, 0.0)] * 2, fitted
+        case.searcher, model, [HypothesisRanking(model.hypotheses, 0.0)] * 2, fitted
     )
     refitted = np.zeros_like(change)
     refitted[case.is_used_reading] = (
-        first_order_reading_change(case.searcher, found)[: int(case.is_used_reading.sum())]
+        first_order_reading_change(case.searcher, model)[: int(case.is_used_reading.sum())]
         * case.reading_sigmas[case.is_used_reading]
     )
     assert np.linalg.norm((refitted + change) / case.reading_sigmas) < np.linalg.norm(refitted / case.reading_sigmas)

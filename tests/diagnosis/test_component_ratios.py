@@ -37,7 +37,7 @@ def planted(n_components: int, coefficients: int, size: float) -> tuple[np.ndarr
 
 
 @pytest.mark.parametrize("n_components", [2, 3, 6])
-def test_one_ratio_is_found_and_has_more_evidence_than_separate_coefficients(n_components: int) -> None:
+def test_a_common_ratio_is_selected_and_has_more_evidence_than_separate_coefficients(n_components: int) -> None:
     gram, score, ratio = planted(n_components, 5, 1.0)
     spread = np.full(len(score), 0.5)
     best, *evidence = best_component_ratio(gram, score, spread, n_components)

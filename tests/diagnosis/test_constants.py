@@ -54,24 +54,29 @@ def test_the_evidence_of_a_constant_is_that_of_the_readings_without_the_prior_of
     """Against densities of what the readings tell, N x + noise of covariance N, with and without a change."""
     adjustment = adjust(trackers(2, "beam-offset-lateral", 60e-6, 1), misalignment_construction())
     unit = prior_sigmas(adjustment.recording, adjustment.construction).ravel()
-    said = likelihood_information(
+    information = likelihood_information(
         adjustment.state.instrument_parameters.ravel(), adjustment.covariance_of_all_instruments, unit, unit
     )
     expected = 0.04 * np.eye(32)
     changes = tuple(InstrumentConstantChange((1,), k, "nothing") for k in range(16))
-    found = instrument_constants_contradicting_expectation(
+    contradicting = instrument_constants_contradicting_expectation(
         adjustment, ExpectedInstrumentConstants(np.zeros(32), expected, changes)
     ).contradictions
-    assert found[0].instruments == ("B",)
-    k = 16 + adjustment.construction.parameter_names.index(found[0].parameter.name)
-    seen = np.linalg.eigh(said.information_matrix)
-    turn = seen[1][:, seen[0] > 1e-9 * seen[0].max()]
+    assert contradicting[0].instruments == ("B",)
+    k = 16 + adjustment.construction.parameter_names.index(contradicting[0].parameter.name)
+    eigenvalues = np.linalg.eigh(information.information_matrix)
+    turn = eigenvalues[1][:, eigenvalues[0] > 1e-9 * eigenvalues[0].max()]
 
     def density(covariance):
         inner = (
-            turn.T @ (said.information_matrix + said.information_matrix @ covariance @ said.information_matrix) @ turn
+            turn.T
+            @ (
+                information.information_matrix
+                + information.information_matrix @ covariance @ information.information_matrix
+            )
+            @ turn
         )
-        y = turn.T @ said.information_vector
+        y = turn.T @ information.information_vector
         return -0.5 * (y @ np.linalg.solve(inner, y) + np.linalg.slogdet(inner)[1])
 
     change = np.zeros((32, 32))
@@ -80,23 +85,23 @@ def test_the_evidence_of_a_constant_is_that_of_the_readings_without_the_prior_of
         change[k, k] = t**2
         logs.append(weight + density(expected + change))
     log = float(log_sum_exp(np.array(logs))) - density(expected) + log_prior_of_each_explanation("constant", 16)
-    assert found[0].log_evidence == pytest.approx(log, rel=1e-3)
+    assert contradicting[0].log_evidence == pytest.approx(log, rel=1e-3)
 
 
-def test_an_index_that_one_face_shows_only_with_the_circle_is_told_as_that():
+def test_an_index_that_a_single_face_shows_only_with_the_circle_is_reported_as_such():
     """Three trackers in one face: 10 urad of one are far within the prior, and far from what the others share."""
-    found = find_contradicting_instrument_constants(
+    contradicting = find_contradicting_instrument_constants(
         adjust(trackers(3, "vertical-index", 10e-6, 1), misalignment_construction())
     ).contradictions
-    assert found
-    first = found[0]
+    assert contradicting
+    first = contradicting[0]
     assert first.instruments == ("B",)
     assert "vertical-index" in {p.name for p in first.evidence_share_by_constant}
     assert sum(first.evidence_share_by_constant.values()) == pytest.approx(1.0, abs=0.05)
     assert abs(first.difference_from_reference) / first.parameter.si_per_display_unit == pytest.approx(10.0, abs=5.0)
 
 
-def test_a_scale_against_known_points_is_told_of_both_trackers():
+def test_a_scale_against_reference_points_is_reported_for_both_trackers():
     """Both are said to be corrected, both are off alike: neither could be without the other."""
     recording, truth = network(faces=2, repeats=2)
     setup = recording.setup.model_copy(
@@ -119,21 +124,21 @@ def test_a_scale_against_known_points_is_told_of_both_trackers():
     recording = recording.with_readings(
         exact + recording.reading_sigmas() * random_stream(8, "noise").standard_normal(exact.shape)
     )
-    found = find_contradicting_instrument_constants(adjust(recording, built)).contradictions
-    (both,) = found
+    contradicting = find_contradicting_instrument_constants(adjust(recording, built)).contradictions
+    (both,) = contradicting
     assert (both.instruments, both.parameter.name) == (("A", "B"), "range-scale")
     assert abs(both.difference_from_reference - 20e-6) < 4 * both.sigma
 
 
-def test_trackers_alike_contradict_nothing_and_chances_are_bounded():
+def test_equal_trackers_contradict_nothing_and_p_values_are_bounded():
     assert (
         find_contradicting_instrument_constants(
             adjust(trackers(3, "vertical-index", 0.0, 1), misalignment_construction())
         ).contradictions
         == ()
     )
-    found = find_contradicting_instrument_constants(
+    contradicting = find_contradicting_instrument_constants(
         adjust(trackers(3, "vertical-index", 40e-6, 2), misalignment_construction())
     ).contradictions
-    assert [(c.instruments, c.parameter.name) for c in found] == [(("B",), "vertical-index")]
-    assert 0.0 <= found[0].p_value < 1e-6
+    assert [(c.instruments, c.parameter.name) for c in contradicting] == [(("B",), "vertical-index")]
+    assert 0.0 <= contradicting[0].p_value < 1e-6

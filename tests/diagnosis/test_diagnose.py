@@ -33,8 +33,8 @@ def workshop(seed: int, *, faces: int = 1, repeats: int = 2) -> tuple[Recording,
 def strengthened(recording, state, change):
     """A change of readings (n, 3) scaled to the wanted noncentrality after the adjustment, with its factor."""
     space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction(), start_state=state))
-    left = space.project(space.whiten(change[:, :, None]))[:, 0]
-    factor = np.sqrt(NONCENTRALITY / float(left @ left))
+    projected = space.project(space.whiten(change[:, :, None]))[:, 0]
+    factor = np.sqrt(NONCENTRALITY / float(projected @ projected))
     return recording.with_readings(recording.readings + factor * change), factor
 
 
@@ -78,9 +78,9 @@ def case_of(name, fields, values):
 
 @pytest.mark.parametrize(("name", "fields", "values"), CASES)
 def test_a_concealed_effect_is_named_placed_and_sized(name, fields, values):
-    found, truth = case_of(name, fields, values)
-    assert found.verdict == "mismatch"
-    first = found.findings[0]
+    diagnosis, truth = case_of(name, fields, values)
+    assert diagnosis.verdict == "mismatch"
+    first = diagnosis.findings[0]
     assert first.effect == name
     assert first.where.stations == fields.get("stations", ())
     assert first.where.targets == fields.get("targets", ())
@@ -92,14 +92,14 @@ def test_a_concealed_effect_is_named_placed_and_sized(name, fields, values):
 
 
 @pytest.mark.long
-def test_two_effects_are_both_found():
+def test_both_of_two_effects_are_detected():
     recording, state = workshop(5)
     sightings = sightings_at_state(recording, state)
     for name, fields, values in (WEATHER, CYCLIC):
         change = find_effect(name)(**fields).reading_change(sightings, np.array(values))
         recording, _ = strengthened(recording, state, change)
-    found = diagnose(recording)
-    assert {f.effect for f in found.findings} == {"station-weather", "range-cyclic"}
+    diagnosis = diagnose(recording)
+    assert {f.effect for f in diagnosis.findings} == {"station-weather", "range-cyclic"}
 
 
 def test_physics_outside_the_catalogue_is_called_unknown():
@@ -109,42 +109,42 @@ def test_physics_outside_the_catalogue_is_called_unknown():
         sightings, distance=np.sin(2 * sightings.azimuth) * np.sin(2 * sightings.elevation)
     )
     recording, _ = strengthened(recording, state, change)
-    found = diagnose(recording, held_out=True)
-    first = found.findings[0]
+    diagnosis = diagnose(recording, held_out=True)
+    first = diagnosis.findings[0]
     assert (first.effect, first.is_catalogued) == ("unknown", False)
     assert first.where.observables == ("distance",)
-    assert np.corrcoef(found.modelled_reading_change(recording)[:, 0], change[:, 0])[0, 1] > 0.9
-    assert (found.variance_factors == 1.0).all()
+    assert np.corrcoef(diagnosis.modelled_reading_change(recording)[:, 0], change[:, 0])[0, 1] > 0.9
+    assert (diagnosis.variance_factors == 1.0).all()
     assert set(first.where.covariates) == {"azimuth", "elevation"}
     assert "azimuth" in first.formula
-    assert found.fit.after.held_out_rms < found.fit.before.held_out_rms
+    assert diagnosis.fit.after.held_out_rms < diagnosis.fit.before.held_out_rms
 
 
 @pytest.mark.long
-def test_what_the_last_move_left_behind_is_no_noise():
+def test_effects_of_the_previous_motion_are_no_noise():
     """Scatter to the eye: only the order of the work tells that it is none."""
     recording, state = workshop(9)
     sightings = sightings_at_state(recording, state)
     change = design_from_front_face_corrections(
         sightings, elevation=np.abs(sightings.reading_changes_since_previous_pointing[:, 1]) * sightings.range_
     )
-    found = diagnose(strengthened(recording, state, change)[0])
-    assert [f.effect for f in found.findings] == ["unknown"]
-    first = found.findings[0]
+    diagnosis = diagnose(strengthened(recording, state, change)[0])
+    assert [f.effect for f in diagnosis.findings] == ["unknown"]
+    first = diagnosis.findings[0]
     assert first.where.observables == ("elevation",)
     assert "approach" in first.where.covariates
     assert "|move-azimuth|" in first.formula
 
 
 @pytest.mark.long
-def test_neighbours_that_move_together_are_found_together():
+def test_neighbours_that_move_together_are_detected_together():
     recording, state = workshop(13)
     sightings = sightings_at_state(recording, state)
     corner = np.argsort(np.linalg.norm(sightings.target_points - sightings.target_points[4], axis=1))[:7]
     sinks = np.isin(sightings.target, corner) * sightings.time / 3600.0
     change = design_from_displacements(sightings, sinks[:, None, None] * np.array([0.0, 0.0, -1.0])[:, None])[:, :, 0]
-    found = diagnose(strengthened(recording, state, change)[0])
-    first = found.findings[0]
+    diagnosis = diagnose(strengthened(recording, state, change)[0])
+    first = diagnosis.findings[0]
     assert first.effect == "unknown"
     assert set(first.where.targets) == {recording.targets[t] for t in corner}
     assert first.where.covariates == ("time",)
@@ -153,33 +153,35 @@ def test_neighbours_that_move_together_are_found_together():
 
 
 @pytest.mark.long
-def test_a_wall_that_leans_is_one_motion_and_its_targets_are_where_they_were_at_first():
+def test_a_leaning_wall_is_a_single_motion_and_its_targets_have_their_first_coordinates():
     recording, state = workshop(14)
     sightings = sightings_at_state(recording, state)
     wall = sightings.target_points[:, 1] > np.median(sightings.target_points[:, 1])
     leans = wall[sightings.target] * sightings.target_points[sightings.target, 2] * sightings.time
     change = design_from_displacements(sightings, leans[:, None, None] * np.array([0.0, 1.0, 0.0])[:, None])[:, :, 0]
-    found = diagnose(strengthened(recording, state, change)[0])
-    assert len(found.findings) == 1
-    first = found.findings[0]
+    diagnosis = diagnose(strengthened(recording, state, change)[0])
+    assert len(diagnosis.findings) == 1
+    first = diagnosis.findings[0]
     assert "target" in first.carrier and first.driver.startswith("time")
     assert set(first.where.targets) <= {recording.targets[t] for t in np.flatnonzero(wall)}
     errors = [
         rigid_gap(points, state.target_points)
-        for points in (found.baseline_adjustment.state.target_points, found.targets.points)
+        for points in (diagnosis.baseline_adjustment.state.target_points, diagnosis.targets.points)
     ]
     assert errors[1] < 0.8 * errors[0]
 
 
 @pytest.mark.long
-def test_two_balls_in_turn_are_told_by_the_height_of_the_targets():
+def test_two_alternating_reflectors_are_detected_by_the_height_of_the_targets():
     """Every other target is measured with a larger ball, in two faces: no parity of the pointings tells that."""
     recording, state = workshop(16, faces=2)
     sightings = sightings_at_state(recording, state)
     out = (sightings.seating_numbers % 2)[:, None] * np.nan_to_num(sightings.nest_normals[sightings.target])
-    found = diagnose(strengthened(recording, state, design_from_displacements(sightings, out[:, :, None])[:, :, 0])[0])
-    assert [f.carrier for f in found.findings] == ["height of targets in their nests"]
-    assert found.findings[0].driver == "the parity of the seatings (every other target)"
+    diagnosis = diagnose(
+        strengthened(recording, state, design_from_displacements(sightings, out[:, :, None])[:, :, 0])[0]
+    )
+    assert [f.carrier for f in diagnosis.findings] == ["height of targets in their nests"]
+    assert diagnosis.findings[0].driver == "the parity of the seatings (every other target)"
 
 
 @pytest.mark.long
@@ -189,8 +191,8 @@ def test_a_stand_that_is_pumped_up_again_and_again_swings():
     visit = float(np.ptp(sightings.time[sightings.station == 1]))
     sinks = (sightings.station == 1) * np.mod(sightings.time_since_station_start / (visit / 4), 1.0)
     change = design_from_displacements(sightings, sinks[:, None, None] * np.array([0.0, 0.0, 1.0])[:, None])[:, :, 0]
-    found = diagnose(strengthened(recording, state, change)[0])
-    first = found.findings[0]
+    diagnosis = diagnose(strengthened(recording, state, change)[0])
+    first = diagnosis.findings[0]
     assert first.effect == "unknown"
     assert first.where.stations == (recording.stations[1],)
     assert "stand" in first.carrier and ("cycle" in first.driver or "wave" in first.driver)
@@ -204,23 +206,23 @@ def rigid_gap(points: np.ndarray, truth: np.ndarray) -> float:
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("amount", "told"),
+    ("amount", "text"),
     [
         (lambda time: np.mod(time, 2000.0) < 700.0, "cycle in time"),
         (lambda time: (time > np.quantile(time, 0.3)) & (time < np.quantile(time, 0.6)), "step(time"),
     ],
 )
-def test_a_range_that_is_off_for_a_while_is_one_finding_with_sharp_edges(amount, told):
+def test_a_range_error_for_a_while_is_a_single_finding_with_sharp_edges(amount, text):
     recording, state = workshop(15)
     sightings = sightings_at_state(recording, state)
     change = design_from_front_face_corrections(sightings, distance=amount(sightings.time).astype(np.float64))
-    found = diagnose(strengthened(recording, state, change)[0])
-    assert [f.effect for f in found.findings] == ["unknown"]
-    assert told in found.findings[0].formula
-    assert found.findings[0].carrier == "distance"
+    diagnosis = diagnose(strengthened(recording, state, change)[0])
+    assert [f.effect for f in diagnosis.findings] == ["unknown"]
+    assert text in diagnosis.findings[0].formula
+    assert diagnosis.findings[0].carrier == "distance"
 
 
-def one_row_late(s):
+def shifted_by_a_row(s):
     """Each range is corrected by the constant of the target before."""
     order = np.argsort(s.time, kind="stable")
     constant = random_stream(18, "constants").standard_normal(len(s.target_names))[s.target[order]]
@@ -237,20 +239,20 @@ def slow_wall(s):
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("law", "carrier", "told"),
+    ("law", "carrier", "text"),
     [
-        (one_row_late, "distance", "the target before, another at each"),
+        (shifted_by_a_row, "distance", "the target before, another at each"),
         (slow_wall, "vertical index", "hall with a lag of 2"),
     ],
 )
-def test_what_lags_or_goes_by_what_came_before_is_told_in_such_words(law, carrier, told):
+def test_memory_of_previous_pointings_is_reported_in_words(law, carrier, text):
     recording, state = workshop(18)
     warm = (recording.time > np.quantile(recording.time, 0.4)).astype(np.float64)
     recording = recording.replace(covariates={"hall": 20.0 + warm})
-    found = diagnose(strengthened(recording, state, law(sightings_at_state(recording, state)))[0])
-    assert [f.carrier for f in found.findings] == [carrier]
-    assert told in found.findings[0].driver
-    assert 0.1 < found.findings[0].target_shift_rms_um < 1000.0
+    diagnosis = diagnose(strengthened(recording, state, law(sightings_at_state(recording, state)))[0])
+    assert [f.carrier for f in diagnosis.findings] == [carrier]
+    assert text in diagnosis.findings[0].driver
+    assert 0.1 < diagnosis.findings[0].target_shift_rms_um < 1000.0
 
 
 @pytest.mark.long
@@ -268,7 +270,7 @@ def test_overwhelming_evidence_states_more_than_99_percent():
 
 
 @pytest.mark.long
-def test_a_constant_beyond_its_prior_is_told_as_that_and_not_as_physics():
+def test_a_constant_beyond_its_prior_is_reported_as_such_and_not_as_physics():
     values = drawn(misalignment_construction(), 1)
     values[misalignment_construction().parameter_names.index("range-offset")] = 60e-6
     recording, _ = network(faces=2, values=values, seed=1)
@@ -284,56 +286,56 @@ def test_a_noisy_station_is_noise_and_not_a_shift():
     recording, _ = workshop(7, repeats=1)
     extra = random_stream(7, "more").standard_normal(recording.readings.shape) * recording.reading_sigmas()
     extra[recording.station != 1] = 0.0
-    found = diagnose(recording.with_readings(recording.readings + 1.5 * extra))
-    assert [f.effect for f in found.findings] == ["station-noise"]
-    assert found.findings[0].where.stations == ("S2",)
-    assert found.fit.after.held_out_rms == pytest.approx(1.0, abs=0.1)
+    diagnosis = diagnose(recording.with_readings(recording.readings + 1.5 * extra))
+    assert [f.effect for f in diagnosis.findings] == ["station-noise"]
+    assert diagnosis.findings[0].where.stations == ("S2",)
+    assert diagnosis.fit.after.held_out_rms == pytest.approx(1.0, abs=0.1)
 
 
 @pytest.mark.long
-def test_noise_of_the_azimuth_is_told_in_the_azimuth():
+def test_noise_of_the_azimuth_is_reported_in_the_azimuth():
     recording, _ = workshop(19, faces=2)
     readings = recording.readings.copy()
     readings[:, 1] += 2.0 * random_stream(19, "more").standard_normal(len(readings)) * recording.reading_sigmas()[:, 1]
-    found = diagnose(recording.with_readings(readings))
-    assert [f.where.observables for f in found.findings] == [("azimuth",)]
+    diagnosis = diagnose(recording.with_readings(readings))
+    assert [f.where.observables for f in diagnosis.findings] == [("azimuth",)]
 
 
-def test_exchanged_reflectors_are_named_and_mended():
+def test_exchanged_reflectors_are_named_and_corrected():
     recording, _ = workshop(9)
     target = recording.target.copy()
     rows = {t: np.flatnonzero((recording.station == 3) & (recording.target == t)) for t in (4, 13)}
     target[rows[4]], target[rows[13]] = 13, 4
-    found = diagnose(recording.replace(target=target))
-    first = found.findings[0]
+    diagnosis = diagnose(recording.replace(target=target))
+    first = diagnosis.findings[0]
     assert first.effect == "target-swap"
     assert first.where.stations == ("S4",)
     assert set(first.where.targets) == {"T05", "T14"}
-    assert found.fit.after.chi2 / found.fit.after.dof == pytest.approx(1.0, abs=0.2)
+    assert diagnosis.fit.after.chi2 / diagnosis.fit.after.dof == pytest.approx(1.0, abs=0.2)
 
 
 @pytest.mark.parametrize("faces", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_a_clean_recording_is_consistent_and_its_diagnosis_is_a_function_of_the_seed(faces):
     recording, _ = workshop(21, faces=faces, repeats=1)
-    found, again = diagnose(recording, seed=3), diagnose(recording, seed=3)
-    assert found.verdict == "consistent"
-    assert found.findings == ()
-    assert "station-levelling" in {u.effect for u in found.undetectable}
-    assert "station-bump" in {d.effect for d in found.detectable}
-    assert all(u.undetected_target_error_um >= 0 and u.cure for u in found.undetectable)
-    assert found.content() == again.content()
+    diagnosis, again = diagnose(recording, seed=3), diagnose(recording, seed=3)
+    assert diagnosis.verdict == "consistent"
+    assert diagnosis.findings == ()
+    assert "station-levelling" in {u.effect for u in diagnosis.undetectable}
+    assert "station-bump" in {d.effect for d in diagnosis.detectable}
+    assert all(u.undetected_target_error_um >= 0 and u.cure for u in diagnosis.undetectable)
+    assert diagnosis.content() == again.content()
 
 
-def test_a_common_scale_is_undetectable_without_a_known_length():
+def test_a_common_scale_is_undetectable_without_a_reference_length():
     recording, _ = network(seed=4)
     free = recording.replace(setup=recording.setup.model_copy(update={"gauge": None}))
     for measured, is_hidden in ((free, True), (recording, False)):
-        found = diagnose(measured)
-        assert ("range-scale" in {entry.effect for entry in found.undetectable}) is is_hidden
-        assert ("range-scale" in {entry.effect for entry in found.detectable}) is not is_hidden
+        diagnosis = diagnose(measured)
+        assert ("range-scale" in {entry.effect for entry in diagnosis.undetectable}) is is_hidden
+        assert ("range-scale" in {entry.effect for entry in diagnosis.detectable}) is not is_hidden
 
 
-def test_a_recording_without_redundancy_is_not_said_to_agree():
+def test_a_recording_without_redundancy_is_not_reported_to_agree():
     recording, _ = network(seed=4)
     recording = recording.replace(setup=recording.setup.model_copy(update={"gauge": None}))
     once = recording.select(recording.station == 0)
@@ -351,9 +353,9 @@ def test_p_values_of_clean_recordings_are_uniform():
 
 def test_the_files_say_what_the_diagnosis_says(tmp_path):
     name, fields, values = CASES[0]
-    found, truth = case_of(name, fields, values)
-    recording = found.arrays.baseline_adjustment.recording
-    write_diagnosis(found, tmp_path)
+    diagnosis, truth = case_of(name, fields, values)
+    recording = diagnosis.arrays.baseline_adjustment.recording
+    write_diagnosis(diagnosis, tmp_path)
     content = json.loads((tmp_path / "diagnosis.json").read_text())
     assert content["format"] == "ltsim-diagnosis/1"
     finding = content["findings"][0]
@@ -364,7 +366,7 @@ def test_the_files_say_what_the_diagnosis_says(tmp_path):
     lines = (tmp_path / "targets.csv").read_text().splitlines()
     assert len(lines) == 1 + len(recording.targets)
     assert lines[0].startswith("target,x_mm,y_mm,z_mm,sigma_x_mm")
-    assert found.to_dataframe("targets")["target"].tolist() == list(recording.targets)
+    assert diagnosis.to_dataframe("targets")["target"].tolist() == list(recording.targets)
 
 
 @pytest.mark.parametrize(
@@ -375,35 +377,35 @@ def test_the_files_say_what_the_diagnosis_says(tmp_path):
         pytest.param(0, 1 / 25.4, "inches", marks=pytest.mark.long),
     ],
 )
-def test_a_station_in_another_unit_is_named_and_mended(column, factor, cause):
+def test_a_station_in_another_unit_is_named_and_corrected(column, factor, cause):
     recording, _ = workshop(13, repeats=1)
     readings = recording.readings.copy()
     columns = [0] if column == 0 else [1, 2]
     for k in columns:
         readings[recording.station == 2, k] *= factor
-    found = diagnose(recording.with_readings(readings))
-    first = found.findings[0]
+    diagnosis = diagnose(recording.with_readings(readings))
+    first = diagnosis.findings[0]
     assert (first.effect, first.where.stations) == ("wrong-unit", ("S3",))
     assert cause in first.sentence
-    assert found.fit.after.chi2 / found.fit.after.dof == pytest.approx(1.0, abs=0.2)
+    assert diagnosis.fit.after.chi2 / diagnosis.fit.after.dof == pytest.approx(1.0, abs=0.2)
 
 
 @pytest.mark.long
-def test_noise_quieter_than_stated_does_not_raise_the_held_out_error():
+def test_noise_quieter_than_declared_does_not_raise_the_held_out_error():
     """Errors are told in the declared noise: less of it is found, and nothing is predicted worse."""
     recording, state = workshop(19)
     exact = MeasurementModel(recording, misalignment_construction()).predict(state)
     readings = exact + 0.6 * (recording.readings - exact)
-    found = diagnose(recording.with_readings(readings))
-    assert [f.effect for f in found.findings] == ["noise-level"]
-    assert found.findings[0].equivalents == ()
-    assert found.fit.after.held_out_rms == pytest.approx(found.fit.before.held_out_rms)
-    assert found.fit.before.held_out_rms == pytest.approx(0.6, abs=0.05)
-    assert "has seen" not in found.summary
+    diagnosis = diagnose(recording.with_readings(readings))
+    assert [f.effect for f in diagnosis.findings] == ["noise-level"]
+    assert diagnosis.findings[0].equivalents == ()
+    assert diagnosis.fit.after.held_out_rms == pytest.approx(diagnosis.fit.before.held_out_rms)
+    assert diagnosis.fit.before.held_out_rms == pytest.approx(0.6, abs=0.05)
+    assert "has seen" not in diagnosis.summary
 
 
 @pytest.mark.long
-def test_turbulence_is_told_from_a_higher_noise_level():
+def test_turbulence_is_distinguished_from_a_higher_noise_level():
     recording, state = workshop(17)
     sightings = sightings_at_state(recording, state)
     effect = find_effect("turbulence")()
@@ -412,18 +414,18 @@ def test_turbulence_is_told_from_a_higher_noise_level():
         - recording.reading_sigmas() ** 2
     )
     extra = grown * random_stream(17, "air").standard_normal(grown.shape)
-    found = diagnose(recording.with_readings(recording.readings + extra))
-    assert found.findings[0].effect == "turbulence"
+    diagnosis = diagnose(recording.with_readings(recording.readings + extra))
+    assert diagnosis.findings[0].effect == "turbulence"
 
 
 @pytest.mark.long
-def test_a_wave_between_the_rates_of_the_grid_is_one_finding():
+def test_a_wave_between_the_frequencies_of_the_grid_is_a_single_finding():
     recording, state = workshop(3)
     sightings = sightings_at_state(recording, state)
     change = design_from_front_face_corrections(sightings, distance=np.sin(83.7 * sightings.elevation + 1.0))
-    found = diagnose(strengthened(recording, state, change)[0])
-    assert [f.effect for f in found.findings] == ["unknown"]
-    first = found.findings[0]
+    diagnosis = diagnose(strengthened(recording, state, change)[0])
+    assert [f.effect for f in diagnosis.findings] == ["unknown"]
+    first = diagnosis.findings[0]
     assert first.where.covariates == ("elevation",)
     assert first.carrier == "distance"
     assert "a wave in elevation, 83." in first.driver
@@ -434,9 +436,9 @@ def test_an_encoder_of_any_number_of_lines_is_named():
     recording, state = workshop(3)
     sightings = sightings_at_state(recording, state)
     change = design_from_front_face_corrections(sightings, elevation=np.sin(83.7 * sightings.elevation + 1.0))
-    found = diagnose(strengthened(recording, state, change)[0])
-    assert [f.effect for f in found.findings] == ["encoder-interpolation"]
-    assert found.findings[0].where.observables == ("elevation",)
+    diagnosis = diagnose(strengthened(recording, state, change)[0])
+    assert [f.effect for f in diagnosis.findings] == ["encoder-interpolation"]
+    assert diagnosis.findings[0].where.observables == ("elevation",)
 
 
 @pytest.mark.long
@@ -446,8 +448,8 @@ def test_targets_are_no_worse_than_those_of_the_right_explanation():
     sightings = sightings_at_state(recording, state)
     change = design_from_front_face_corrections(sightings, distance=np.sin(3 * sightings.azimuth))
     hidden, _ = strengthened(recording, state, change)
-    found = diagnose(hidden)
-    assert rigid_gap(found.targets.points, state.target_points) < 1.05 * rigid_gap(
-        found.baseline_adjustment.state.target_points, state.target_points
+    diagnosis = diagnose(hidden)
+    assert rigid_gap(diagnosis.targets.points, state.target_points) < 1.05 * rigid_gap(
+        diagnosis.baseline_adjustment.state.target_points, state.target_points
     )
-    assert np.all(np.linalg.eigvalsh(found.targets.covariance[:-4]) > 0.0)
+    assert np.all(np.linalg.eigvalsh(diagnosis.targets.covariance[:-4]) > 0.0)

@@ -41,7 +41,7 @@ def space_of(recording):
 @pytest.mark.parametrize(
     ("row", "column"), [(40, 0), *(pytest.param(r, c, marks=pytest.mark.long) for r, c in ((91, 1), (150, 2)))]
 )
-def test_one_wrong_reading_is_left_out_and_told_before_any_law(row, column):
+def test_a_single_wrong_reading_is_excluded_and_reported_before_any_law(row, column):
     recording = changed(workshop(2)[0], row, column, 15.0)
     space = space_of(recording)
     at = np.flatnonzero(np.flatnonzero(space.is_used_reading) == 3 * row + column)
@@ -50,31 +50,33 @@ def test_one_wrong_reading_is_left_out_and_told_before_any_law(row, column):
     assert selection is not None
     assert np.argwhere(single_error_mask(selection.fit)).tolist() == [[row, column]]
     diagnosis = diagnose(recording)
-    (told,) = diagnosis.findings
-    assert told.effect == "outlier"
-    assert told.where.stations == (recording.stations[recording.station[row]],)
-    assert told.where.targets == (recording.targets[recording.target[row]],)
-    assert told.where.observables == (("distance", "azimuth", "elevation")[column],)
-    (size,) = told.parameters
+    (finding,) = diagnosis.findings
+    assert finding.effect == "outlier"
+    assert finding.where.stations == (recording.stations[recording.station[row]],)
+    assert finding.where.targets == (recording.targets[recording.target[row]],)
+    assert finding.where.observables == (("distance", "azimuth", "elevation")[column],)
+    (size,) = finding.parameters
     unit = 1e-3 if column == 0 else ARCSECOND
     assert size.value * unit == pytest.approx(15.0 * recording.reading_sigmas()[row, column], rel=0.25)
     assert size.sigma * unit == pytest.approx(recording.reading_sigmas()[row, column] / np.sqrt(redundancy), rel=1e-3)
     change = diagnosis.modelled_reading_change(recording)
     assert change[row, column] == pytest.approx(size.value * unit, rel=0.01) and np.count_nonzero(change) == 1
-    assert told.evidence.chi2_drop == pytest.approx((size.value / size.sigma) ** 2)
-    assert told.evidence.chi2_drop == pytest.approx(float(space.whitened_residuals[at][0]) ** 2 / redundancy, rel=0.01)
+    assert finding.evidence.chi2_drop == pytest.approx((size.value / size.sigma) ** 2)
+    assert finding.evidence.chi2_drop == pytest.approx(
+        float(space.whitened_residuals[at][0]) ** 2 / redundancy, rel=0.01
+    )
 
 
-def test_one_wrong_reading_is_not_counted_again_in_the_readings_that_it_distorts():
+def test_a_wrong_reading_is_not_counted_again_in_the_readings_that_it_distorts():
     space = space_of(workshop(2)[0])
     row = int(np.argmax(space.redundancy[: int(space.is_used_reading.sum())] < 0.5))
     unit = np.zeros(space.n_equations)
     unit[row] = 1.0
     column = space.project(unit)
     no_effects = np.zeros((space.n_equations, 0))
-    one = log_evidence_of_wrong_readings(space, 60.0 * column, no_effects, 0.0)
+    reading_evidence = log_evidence_of_wrong_readings(space, 60.0 * column, no_effects, 0.0)
     by_chi2 = 0.5 * 60.0**2 * column[row]
-    assert by_chi2 - 20.0 < one < by_chi2
+    assert by_chi2 - 20.0 < reading_evidence < by_chi2
 
 
 def test_wrong_readings_explain_no_more_than_the_chi_square():
@@ -114,11 +116,11 @@ def test_outliers_share_their_place_with_those_that_are_small():
 @pytest.mark.parametrize("last", [True, False])
 def test_a_wrong_reading_of_a_last_pointing_may_be_a_target_that_moved(last):
     recording, _ = workshop(2)
-    seen = np.flatnonzero(recording.target == recording.target[40])
-    row = int(seen[np.argsort(recording.time[seen])[-1 if last else -2]])
-    (told,) = diagnose(changed(recording, row, 0, 15.0)).findings
-    assert [e.effect for e in told.equivalents] == ["target-moved"] * last
-    assert told.evidence.probability + sum(e.probability for e in told.equivalents) <= 1.0
+    rows = np.flatnonzero(recording.target == recording.target[40])
+    row = int(rows[np.argsort(recording.time[rows])[-1 if last else -2]])
+    (finding,) = diagnose(changed(recording, row, 0, 15.0)).findings
+    assert [e.effect for e in finding.equivalents] == ["target-moved"] * last
+    assert finding.evidence.probability + sum(e.probability for e in finding.equivalents) <= 1.0
 
 
 def test_a_target_that_moved_is_no_wrong_reading():
@@ -131,7 +133,7 @@ def test_a_target_that_moved_is_no_wrong_reading():
 
 @pytest.mark.long
 @pytest.mark.parametrize("factors", [(0.3, 0.4, 0.5), (3.0, 2.0, 4.0)])
-def test_noise_that_is_stated_wrong_is_told_as_that_and_nothing_else(factors):
+def test_wrongly_declared_noise_is_reported_as_such_and_nothing_else(factors):
     """By a different factor in each observable."""
     recording, _ = workshop(4)
     adjustment = adjust(recording, misalignment_construction())
@@ -141,19 +143,19 @@ def test_noise_that_is_stated_wrong_is_told_as_that_and_nothing_else(factors):
 
 
 @pytest.mark.long
-def test_noise_that_differs_from_target_to_target_is_one_finding():
+def test_noise_that_differs_between_targets_is_a_single_finding():
     recording, _ = workshop(5)
     times = np.exp(random_stream(5, "poses").normal(0.0, 1.2, len(recording.targets)))[recording.target]
     more = (
         random_stream(6, "scatter").standard_normal((len(recording), 3)) * recording.reading_sigmas() * times[:, None]
     )
-    found = diagnose(recording.with_readings(recording.readings + more)).findings
-    assert found[0].effect == "unknown"
-    assert found[0].driver == "target"
-    assert len(found) <= 2
+    findings = diagnose(recording.with_readings(recording.readings + more)).findings
+    assert findings[0].effect == "unknown"
+    assert findings[0].driver == "target"
+    assert len(findings) <= 2
 
 
-def test_a_weak_effect_leaves_its_cause_in_doubt_and_a_strong_one_ends_it():
+def test_a_weak_effect_has_an_uncertain_cause_and_a_strong_effect_a_certain_cause():
     recording, _ = workshop(1)
     space = space_of(recording)
     rows = int(space.is_used_reading.sum())
@@ -180,22 +182,22 @@ def test_a_name_is_less_certain_than_the_place_that_the_readings_show():
     assert "unknown" in [other.effect for other in finding.equivalents]
 
 
-def test_a_known_length_that_is_wrong_is_told_as_that_and_not_as_physics():
+def test_a_reference_length_that_is_wrong_is_reported_as_such_and_not_as_physics():
     recording, _ = workshop(2)
     first, *others = recording.gauge.distance
     wrong = first.model_copy(update={"length_mm": first.length_mm + 0.3})
     gauge = recording.gauge.model_copy(update={"distance": (wrong, *others)})
     changed_ = recording.replace(setup=recording.setup.model_copy(update={"gauge": gauge}))
-    found = diagnose(changed_)
-    assert found.verdict == "mismatch"
-    assert [f.carrier for f in found.findings] == ["reference length"]
-    assert set(found.findings[0].where.targets) == {first.from_, first.to}
-    (size,) = found.findings[0].parameters
+    diagnosis = diagnose(changed_)
+    assert diagnosis.verdict == "mismatch"
+    assert [f.carrier for f in diagnosis.findings] == ["reference length"]
+    assert set(diagnosis.findings[0].where.targets) == {first.from_, first.to}
+    (size,) = diagnosis.findings[0].parameters
     assert size.value == pytest.approx(0.3, abs=4 * size.sigma + 0.02)
 
 
 @pytest.mark.long
-def test_nothing_unlikely_is_told_beside_anything_else(monkeypatch):
+def test_nothing_unlikely_is_reported_next_to_anything_else(monkeypatch):
     """Neither a shift nor a change of the noise; alone it is."""
     recording, _ = concealing("range-cyclic", 3, [1e-6, 1e-6], wavelength=0.31)
     (alone,) = diagnose(recording).findings
@@ -209,14 +211,14 @@ def test_nothing_unlikely_is_told_beside_anything_else(monkeypatch):
         return replace(state, selected_noise_hypotheses=(noisy,)), model
 
     monkeypatch.setattr("ltsim.diagnosis.diagnose.select_noise_and_effects", with_noise)
-    told = diagnose(recording).findings
-    assert [f.effect for f in told] == ["range-cyclic"]
+    findings = diagnose(recording).findings
+    assert [f.effect for f in findings] == ["range-cyclic"]
     monkeypatch.setattr(SelectedModelFit, "finding_of_effect", lambda *_: unlikely)
     assert diagnose(recording).findings
 
 
 @pytest.mark.long
-def test_noise_that_differs_from_set_up_to_set_up_is_one_finding():
+def test_noise_that_differs_between_set_ups_is_a_single_finding():
     """Three of five set-ups are restless, each in another observable: no single one explains the others."""
     recording, _ = network(repeats=2, seed=9)
     sigma = recording.reading_sigmas().copy()
@@ -224,8 +226,8 @@ def test_noise_that_differs_from_set_up_to_set_up_is_one_finding():
     for station, column in ((1, 0), (2, 1), (4, 2)):
         louder[recording.station == station, column] = 5.0
     more = np.sqrt(louder**2 - 1.0) * sigma * random_stream(5, "set-ups").standard_normal(sigma.shape)
-    found = diagnose(recording.with_readings(recording.readings + more)).findings
-    (first,) = found
+    findings = diagnose(recording.with_readings(recording.readings + more)).findings
+    (first,) = findings
     assert (first.carrier, first.driver) == ("noise", "station")
     assert "from set-up to set-up, separately for each observable" in first.sentence
     names = {recording.stations[i] for i in (1, 2, 4)}
@@ -233,7 +235,7 @@ def test_noise_that_differs_from_set_up_to_set_up_is_one_finding():
 
 
 @pytest.mark.long
-def test_nothing_without_a_size_is_told_beside_something_else():
+def test_nothing_without_a_size_is_reported_next_to_something_else():
     """A plume that fits the way of one station by chance has no temperature: the wrong reading alone is told."""
     recording = changed(workshop(2)[0], 40, 0, 15.0)
     case = SelectionState.from_adjustment(
@@ -241,25 +243,28 @@ def test_nothing_without_a_size_is_told_beside_something_else():
     )
     plume = find_effect("heat-plume")(("S2",), (), (0.0, 0.0, 0.4), 0.2)
     members = [Hypothesis(plume, -9.0, 5.0, "heat-plume")]
-    found = case.searcher.model_with(members)
+    model = case.searcher.model_with(members)
     explained = SelectedModelFit(
         case,
         run_global_test(case.searcher, case.noise_hypotheses),
-        found,
-        case.refit(found.effects, case.reading_sigmas),
+        model,
+        case.refit(model.effects, case.reading_sigmas),
     )
-    (told,) = (one for one in explained.refit.estimates[0] if one.parameter.name == "plume-temperature")
-    assert abs(told.value) < 2.0 * told.sigma
+    (reported,) = (
+        estimate for estimate in explained.refit.estimates[0] if estimate.parameter.name == "plume-temperature"
+    )
+    assert abs(reported.value) < 2.0 * reported.sigma
     assert explained.p_real(0) == 0.0
 
 
 @pytest.mark.long
 def test_a_finding_that_few_readings_carry_names_them():
     recording = changed(workshop(2)[0], 40, 0, 7.5)
-    (found,) = diagnose(recording).findings
+    (finding,) = diagnose(recording).findings
     station, target = recording.stations[recording.station[40]], recording.targets[recording.target[40]]
     assert (
-        f"Most of the decrease of chi-square is in the distance from {station} to {target} (row 41)." in found.sentence
+        f"Most of the decrease of chi-square is in the distance from {station} to {target} (row 41)."
+        in finding.sentence
     )
 
 

@@ -78,7 +78,7 @@ def test_ranges_that_are_longer_through_a_column_are_placed(clean) -> None:
 
 
 @pytest.mark.long
-def test_two_observables_that_follow_one_quantity_are_one_finding(clean) -> None:
+def test_two_observables_that_follow_the_same_quantity_are_a_single_finding(clean) -> None:
     distance = clean[1].sightings.range_
     change = np.stack([0.0 * distance, *[np.tanh(4.0 * (distance - np.median(distance)))] * 2], axis=1)
     change[clean[1].sightings.face == 2, 2] *= -1.0
@@ -88,7 +88,7 @@ def test_two_observables_that_follow_one_quantity_are_one_finding(clean) -> None
 
 
 @pytest.mark.long
-def test_a_gauge_that_moves_once_is_one_group() -> None:
+def test_a_gauge_that_moves_once_is_a_single_group() -> None:
     recording, _ = network(faces=2, seed=3)
     adjustment = adjust(recording, misalignment_construction())
     names = sorted({name for d in recording.gauge.distance for name in (d.from_, d.to)})

@@ -53,7 +53,7 @@ def estimated(faces: int, truth: Floats, rng: np.random.Generator) -> Floats:
     return covariance @ (information @ truth + noise)
 
 
-def told(
+def diagnosis_with_change(
     faces: int, count: int, seed: int, blow: float = 0.0, constant: int = INDEX
 ) -> tuple[InstrumentConstantContradiction, ...]:
     """Contradictions of a day with some calibrations before it, one constant off by `blow` guarantees."""
@@ -65,16 +65,16 @@ def told(
     days[-1, constant] += blow * GUARANTEE[constant]
     values = [estimated(faces, day, rng) for day in days]
     before = [(f"day {k}", calibration.with_changes(estimates=v[None])) for k, v in enumerate(values[:-1])]
-    known = (
+    prior = (
         EarlierCalibrationPrior.from_source(History.from_series(CalibrationSeries.from_labelled(before)))
         if count > 1
         else EarlierCalibrationPrior.from_source(before[0][1])
     )
-    return against(known, adjustment, values[-1])
+    return against(prior, adjustment, values[-1])
 
 
 def against(
-    known: EarlierCalibrationPrior, adjustment: Adjustment, values: Floats
+    prior: EarlierCalibrationPrior, adjustment: Adjustment, values: Floats
 ) -> tuple[InstrumentConstantContradiction, ...]:
     """Contradictions of an adjustment that had found other values (p,)."""
     state = SimpleNamespace(instrument_parameters=values[None])
@@ -86,7 +86,7 @@ def against(
         recording=recording,
         problem=adjustment.problem,
     )
-    expectation = ExpectationFromEarlierCalibrations.from_calibrations(known, recording, BUILT)
+    expectation = ExpectationFromEarlierCalibrations.from_calibrations(prior, recording, BUILT)
     return expectation.find_contradicting_instrument_constants(other).contradictions
 
 
@@ -94,30 +94,30 @@ def against(
 @pytest.mark.parametrize(("faces", "count"), [(2, 5), (1, 5), (2, 3), (2, 1)])
 def test_an_instrument_that_wanders_as_ever_is_let_be(faces: int, count: int) -> None:
     """One in twenty is allowed, as for the whole search; 50 histories."""
-    assert sum(bool(told(faces, count, seed)) for seed in range(14 if count > 1 else 8)) <= 1
+    assert sum(bool(diagnosis_with_change(faces, count, seed)) for seed in range(14 if count > 1 else 8)) <= 1
 
 
 @pytest.mark.parametrize(
     ("faces", "count", "name"), [(2, 5, "vertical-index"), (1, 5, "beam-tilt"), (2, 1, "beam-tilt")]
 )
-def test_a_blow_is_told_with_its_constant_and_size(faces: int, count: int, name: str) -> None:
+def test_a_blow_is_reported_with_its_constant_and_size(faces: int, count: int, name: str) -> None:
     constant = BUILT.parameter_names.index(name)
-    found = [told(faces, count, seed, 3.0, constant) for seed in range(4)]
-    assert [f[0].parameter.name for f in found if f] == [name] * 4
-    assert sum(len(f) for f in found) <= 5
-    gaps = np.array([(f[0].difference_from_reference - 3.0 * GUARANTEE[constant]) / f[0].sigma for f in found])
+    diagnoses = [diagnosis_with_change(faces, count, seed, 3.0, constant) for seed in range(4)]
+    assert [f[0].parameter.name for f in diagnoses if f] == [name] * 4
+    assert sum(len(f) for f in diagnoses) <= 5
+    gaps = np.array([(f[0].difference_from_reference - 3.0 * GUARANTEE[constant]) / f[0].sigma for f in diagnoses])
     assert np.abs(gaps).max() < 4.0
-    assert ("history (5 calibrations, spread" in found[0][0].reference_text) == (count == 5)
+    assert ("history (5 calibrations, spread" in diagnoses[0][0].reference_text) == (count == 5)
 
 
-def test_two_constants_that_changed_are_told_apart() -> None:
+def test_two_constants_that_changed_are_distinguished() -> None:
     calibration, adjustment = measured(2)
     today = estimated(2, GUARANTEE * ((np.arange(len(GUARANTEE)) == INDEX) * 2.0), random_stream(3, "a"))
     today[BUILT.parameter_names.index("beam-tilt")] -= GUARANTEE[BUILT.parameter_names.index("beam-tilt")]
-    known = EarlierCalibrationPrior.from_source(calibration.with_changes(estimates=np.zeros((1, len(GUARANTEE)))))
+    prior = EarlierCalibrationPrior.from_source(calibration.with_changes(estimates=np.zeros((1, len(GUARANTEE)))))
     sizes = {
         c.parameter.name: c.difference_from_reference / c.parameter.prior_sigma
-        for c in against(known, adjustment, today)
+        for c in against(prior, adjustment, today)
     }
     assert sizes == {"vertical-index": pytest.approx(2.0, abs=0.3), "beam-tilt": pytest.approx(-1.0, abs=0.3)}
 
@@ -140,14 +140,14 @@ def test_a_diagnosis_says_what_has_changed_and_since_when(tmp_path: Path) -> Non
     alone = lt.diagnose(recording)
     assert alone.verdict == "consistent"
     for file in ("history", "last/calibration.json"):
-        found = lt.diagnose(recording, history=tmp_path / file)
-        first = found.findings[0]
+        diagnosis = lt.diagnose(recording, history=tmp_path / file)
+        first = diagnosis.findings[0]
         (index,) = first.parameters
-        assert (found.verdict, first.effect, index.name) == ("mismatch", "vertical-index", "vertical-index")
+        assert (diagnosis.verdict, first.effect, index.name) == ("mismatch", "vertical-index", "vertical-index")
         assert abs(index.value - 2.0 * GUARANTEE[INDEX] / 1e-6) < 4 * index.sigma
         assert first.sentence.startswith("The vertical index of the instrument differs by (")
-        assert found.summary.startswith(first.sentence)
-        assert found.content()["findings"][0]["sentence"] == first.sentence
+        assert diagnosis.summary.startswith(first.sentence)
+        assert diagnosis.content()["findings"][0]["sentence"] == first.sentence
 
 
 def test_a_wrong_file_is_refused_in_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

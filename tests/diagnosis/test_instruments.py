@@ -40,10 +40,10 @@ def trackers(off: float, *, corrected: bool = False) -> Recording:
 
 
 @pytest.mark.long
-def test_a_tracker_that_is_off_is_told_with_its_constant_and_size():
-    found = diagnose(trackers(60e-6))
-    first = found.findings[0]
-    assert found.verdict == "mismatch"
+def test_a_tracker_that_is_off_is_reported_with_its_constant_and_size():
+    diagnosis = diagnose(trackers(60e-6))
+    first = diagnosis.findings[0]
+    assert diagnosis.verdict == "mismatch"
     assert (first.effect, first.where.instruments) == ("beam-offset", ("B",))
     (offset,) = first.parameters
     assert offset.name == "beam-offset-lateral"
@@ -51,52 +51,52 @@ def test_a_tracker_that_is_off_is_told_with_its_constant_and_size():
     assert "of B differs by" in first.sentence
 
 
-def test_trackers_alike_contradict_nothing():
+def test_equal_trackers_contradict_nothing():
     assert (
         find_contradicting_instrument_constants(adjust(trackers(0.0), misalignment_construction())).contradictions == ()
     )
 
 
 def test_a_corrected_tracker_is_held_to_its_word():
-    found = find_contradicting_instrument_constants(
+    contradicting = find_contradicting_instrument_constants(
         adjust(trackers(60e-6, corrected=True), misalignment_construction())
     ).contradictions
-    assert [(c.instruments, c.parameter.name) for c in found] == [(("B",), "beam-offset-lateral")]
-    assert "correction" in found[0].reference_text
+    assert [(c.instruments, c.parameter.name) for c in contradicting] == [(("B",), "beam-offset-lateral")]
+    assert "correction" in contradicting[0].reference_text
 
 
-def test_combinations_are_known_where_single_constants_are_not():
+def test_combinations_are_determined_where_single_constants_are_not():
     """In one face the vertical index and cosines of the elevation are one: their sum is determined."""
     recording, _ = network(values=drawn(misalignment_construction(), 2), seed=3)
     adjustment = adjust(recording, misalignment_construction())
     (entry,) = instrument_entries(adjustment)
     sigma = {p.name: p.sigma for p in entry.parameters}
-    known = [c for c in entry.determined if {"vertical-index"} <= set(c.combination)]
-    assert known
-    assert known[0].sigma < 0.3 * sigma["vertical-index"]
+    combinations = [c for c in entry.determined if {"vertical-index"} <= set(c.combination)]
+    assert combinations
+    assert combinations[0].sigma < 0.3 * sigma["vertical-index"]
     weights = np.zeros(len(adjustment.construction.parameter_names))
-    for name, weight in known[0].combination.items():
+    for name, weight in combinations[0].combination.items():
         weights[adjustment.construction.parameter_names.index(name)] = weight
     direct = float(np.sqrt(weights @ adjustment.first_instrument_covariance @ weights)) / 1e-6
-    assert direct == pytest.approx(known[0].sigma, rel=0.5)
+    assert direct == pytest.approx(combinations[0].sigma, rel=0.5)
 
 
 @pytest.mark.long
-def test_one_tracker_of_two_that_scatters_with_the_range_is_one_finding():
+def test_scatter_of_a_tracker_with_the_range_is_a_single_finding():
     recording = trackers(0.0)
     far = recording.readings[:, 0] / recording.readings[:, 0].max()
     scatter = 3.0 * (recording.instrument == 1) * far**2 * recording.reading_sigmas()[:, 0]
     readings = recording.readings.copy()
     readings[:, 0] += scatter * random_stream(9, "scatter").standard_normal(len(recording))
-    found = diagnose(recording.with_readings(readings))
-    (first,) = found.findings
+    diagnosis = diagnose(recording.with_readings(readings))
+    (first,) = diagnosis.findings
     assert (first.carrier, first.where.observables) == ("noise", ("distance",))
     assert first.where.instruments == ("B",)
     assert "of instrument B" in first.sentence
 
 
 @pytest.mark.long
-def test_a_curve_that_each_tracker_has_of_its_own_is_one_finding():
+def test_separate_curves_of_the_trackers_are_a_single_finding():
     """Two trackers aim off by another function of the distance each, beyond their constants."""
     recording = trackers(0.0)
     way = recording.readings[:, 0] / recording.readings[:, 0].max()
@@ -119,6 +119,6 @@ def test_constants_that_are_clear_are_named_as_a_person_would():
     assert 0 < len(named) <= 5
     (index,) = (words for words in named if words.startswith("vertical index"))
     assert index.startswith("vertical index, with the constants that the readings do not separate from it, of ")
-    one = next(c for c in entries[0].determined if next(iter(c.combination)) == "vertical-index")
-    weight = one.combination["vertical-index"]
-    assert index.endswith(f"{with_sigma(one.value / weight, one.sigma / weight)} urad")
+    combination = next(c for c in entries[0].determined if next(iter(c.combination)) == "vertical-index")
+    weight = combination.combination["vertical-index"]
+    assert index.endswith(f"{with_sigma(combination.value / weight, combination.sigma / weight)} urad")

@@ -28,7 +28,7 @@ json.dump(found.content(), sys.stdout)
 """
 """A step between two pointings is the same at any moment between them: the evidence has a plateau."""
 KERNELS = ("Nehalem", "Haswell")
-ALIKE = 1e-6
+RELATIVE_TOLERANCE = 1e-6
 """Of a figure; of probabilities, which screening in single precision enters, as a whole."""
 
 
@@ -47,19 +47,21 @@ def flat(content: Any, place: str = "") -> dict[str, Any]:
 def test_two_kernels_give_the_same_figures(root: Path) -> None:
     if not any(pool["internal_api"] == "openblas" for pool in threadpool_info()):
         pytest.skip("numpy does not compute with OpenBLAS here: its kernels cannot be chosen")
-    told = []
+    figures = []
     for kernel in KERNELS:
         surroundings = {**os.environ, "OPENBLAS_CORETYPE": kernel, "PYTHONPATH": str(root)}
         done = subprocess.run(
             [sys.executable, "-c", CODE], env=surroundings, capture_output=True, text=True, check=True
         )
-        told.append(flat(json.loads(done.stdout)))
-    one, other = told
-    assert one.keys() == other.keys()
-    for key, value in one.items():
+        figures.append(flat(json.loads(done.stdout)))
+    first, other = figures
+    assert first.keys() == other.keys()
+    for key, value in first.items():
         if isinstance(value, float):
             chance = key.rpartition("/")[2] in ("probability", "p_same_scope", "p_value")
-            assert value == pytest.approx(other[key], rel=ALIKE, abs=ALIKE if chance else 1e-9), key
+            assert value == pytest.approx(
+                other[key], rel=RELATIVE_TOLERANCE, abs=RELATIVE_TOLERANCE if chance else 1e-9
+            ), key
         else:
             assert value == other[key], key
 

@@ -16,7 +16,7 @@ from ltsim.recordings.setup import Setup
 TARGETS = 10
 
 
-def one_station(repeats: int) -> Recording:
+def single_station(repeats: int) -> Recording:
     """Targets all around, each in both faces again and again."""
     rng = random_stream(3, "one station", repeats)
     ranges = [rng.uniform(*limits, TARGETS) for limits in ((2.0, 8.0), (-3.0, 3.0), (-0.6, 0.6))]
@@ -38,12 +38,12 @@ def one_station(repeats: int) -> Recording:
 
 def peak(repeats: int) -> int:
     """Most memory [bytes] at a time."""
-    recording = one_station(repeats)
+    recording = single_station(repeats)
     tracemalloc.start()
-    found = diagnose(recording)
+    diagnosis = diagnose(recording)
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert found.verdict == "consistent"
+    assert diagnosis.verdict == "consistent"
     return most
 
 

@@ -38,9 +38,9 @@ def scattered(space, pair, *, shared):
     """Residuals with scatter of 1.5 sigma, new at each pointing or `shared` by the repeats of a pair."""
     rng = random_stream(1, "scatter")
     count = int(space.is_used_reading.sum())
-    own, common = rng.standard_normal((len(pair), 3)), rng.standard_normal((pair.max() + 1, 3))[pair]
+    noise, common = rng.standard_normal((len(pair), 3)), rng.standard_normal((pair.max() + 1, 3))[pair]
     more = np.zeros((space.n_equations, 1))
-    more[:count, 0] = 1.5 * (common if shared else own)[space.is_used_reading]
+    more[:count, 0] = 1.5 * (common if shared else noise)[space.is_used_reading]
     return space.whitened_residuals + space.project(more)[:, 0]
 
 
@@ -48,13 +48,16 @@ def evidence_of(bank, residual, redundancy):
     """Log evidence of each family."""
     names = (
         *bank.family_names,
-        *(f"{one.name} {i}" if i else one.name for i, one in enumerate(bank.group_noise_hypotheses)),
+        *(
+            f"{hypothesis.name} {i}" if i else hypothesis.name
+            for i, hypothesis in enumerate(bank.group_noise_hypotheses)
+        ),
     )
     return dict(zip(names, bank.log_evidence_by_family(residual[:, None], redundancy)[:, 0], strict=True))
 
 
 @pytest.mark.parametrize("shared", [True, False])
-def test_scatter_that_repeats_is_told_from_noise(repeated, shared):
+def test_scatter_that_repeats_is_distinguished_from_noise(repeated, shared):
     space, pair, bank = repeated
     evidence = evidence_of(bank, scattered(space, pair, shared=shared), space.redundancy)
     more = evidence["unknown:noise:repeating"] - evidence["noise-level"]
@@ -74,7 +77,7 @@ def test_every_variance_function_is_linear_in_its_size(repeated):
 
 
 @pytest.mark.parametrize("covariate", ["time", "bearing", "distance"])
-def test_noise_in_a_band_of_a_covariate_is_found_in_that_band(repeated, covariate):
+def test_noise_in_a_band_of_a_covariate_is_detected_in_that_band(repeated, covariate):
     space, _, bank = repeated
     x = space.sightings.covariate_values[covariate]
     band = (-np.pi, -0.75 * np.pi) if covariate == "bearing" else tuple(np.quantile(x, (0.0, 0.25)).tolist())
@@ -93,7 +96,7 @@ def test_noise_in_a_band_of_a_covariate_is_found_in_that_band(repeated, covariat
     assert np.mean(at[:, 2] == inside) > 0.8 and best.observables == ("azimuth", "elevation")
 
 
-def test_shaken_targets_scatter_in_both_angles_as_one_change(repeated):
+def test_shaken_targets_scatter_in_both_angles_as_a_single_change(repeated):
     space, _, bank = repeated
     shaken = space.sightings.target < 6
     more = (
@@ -144,21 +147,21 @@ def test_sizes_between_those_of_the_grid_count_as_much(repeated):
         squares, share = residual[: len(factor)] ** 2, space.redundancy[: len(factor)]
         return 0.5 * np.sum(squares * (1.0 - 1.0 / factor) - share * np.log(factor))
 
-    one = []
+    log_evidences = []
     for k in range(2):
         tried = [np.log(sizes[k]) for sizes in effect.candidate_parameter_values() if sizes[k]]
         fine = np.linspace(min(tried), max(tried), 4001)
         logs = np.array([gained(k, x) for x in fine])
-        one.append(logsumexp(logs) - np.log(len(fine)))
-    whole = logsumexp([*one, sum(one)]) - np.log(3)
+        log_evidences.append(logsumexp(logs) - np.log(len(fine)))
+    whole = logsumexp([*log_evidences, sum(log_evidences)]) - np.log(3)
     rough = replace(bank, parameter_basis=None)  # in its diagonal form
-    found = {
+    evidence_by_family = {
         h.family_name: value
         for value, h in rough.ranked_noise_hypotheses(residual, space.redundancy, np.zeros((space.n_equations, 0)))
     }
-    assert found["turbulence"] - bank.log_prior_of_family("turbulence") == pytest.approx(whole, abs=0.1)
+    assert evidence_by_family["turbulence"] - bank.log_prior_of_family("turbulence") == pytest.approx(whole, abs=0.1)
     coarse = evidence_of(bank, residual, space.redundancy)["turbulence"]
-    assert found["turbulence"] > coarse + 1.0
+    assert evidence_by_family["turbulence"] > coarse + 1.0
 
 
 def test_the_evidence_of_a_noise_level_lets_each_observable_be_by_itself(repeated):
@@ -174,12 +177,12 @@ def test_the_evidence_of_a_noise_level_lets_each_observable_be_by_itself(repeate
             np.mean([np.exp(0.5 * (square * (1 - 1 / f) - share * np.log(f))) for f in GROUP_VARIANCE_FACTORS])
         )
 
-    one = [averaged(kind == k) for k in range(3)]
-    subsets = [sum(one[k] for k in range(3) if bits >> k & 1) for bits in range(1, 8)]
+    by_observable = [averaged(kind == k) for k in range(3)]
+    subsets = [sum(by_observable[k] for k in range(3) if bits >> k & 1) for bits in range(1, 8)]
     common = [averaged(np.isin(kind, ks)) for ks in ([0], [1], [2], [1, 2], [0, 1, 2])]
     expected = np.log(np.mean([*np.exp(common), np.exp(subsets).mean()]))
-    found = evidence_of(bank, residual, space.redundancy)["noise-level"]
-    assert found == pytest.approx(expected + bank.log_prior_of_family("noise-level"), rel=1e-6)
+    evidence = evidence_of(bank, residual, space.redundancy)["noise-level"]
+    assert evidence == pytest.approx(expected + bank.log_prior_of_family("noise-level"), rel=1e-6)
 
 
 def test_a_wrong_declaration_of_the_noise_has_a_larger_prior_than_a_particular_cause_of_it(repeated):
@@ -209,14 +212,14 @@ def test_quiet_residuals_are_no_law(repeated):
 def test_residuals_that_a_flexible_law_has_fitted_are_not_quiet(repeated):
     """Many columns take their share of the noise: what they leave of redundancy is what quietness is judged by."""
     space, _, bank = repeated
-    beside = space.with_design_columns(
+    extended = space.with_design_columns(
         random_stream(3, "columns").standard_normal((space.n_equations, space.n_equations // 4))
     )
-    assert evidence_of(bank, beside.whitened_residuals, space.redundancy)["noise-level"] > 5.0
-    assert evidence_of(bank, beside.whitened_residuals, beside.redundancy)["noise-level"] < 0.0
+    assert evidence_of(bank, extended.whitened_residuals, space.redundancy)["noise-level"] > 5.0
+    assert evidence_of(bank, extended.whitened_residuals, extended.redundancy)["noise-level"] < 0.0
 
 
-def test_nothing_is_found_where_there_is_nothing(repeated):
+def test_nothing_is_detected_without_an_effect(repeated):
     """Each family's evidence is at most its prior, on average over recordings without any change."""
     space, _, bank = repeated
     white = space.project(random_stream(2, "white").standard_normal((space.n_equations, 200)))
@@ -231,13 +234,13 @@ def test_means_of_repeats_are_of_unit_variance(repeated):
     np.testing.assert_allclose((means.multiply(means)).sum(axis=1), 1.0)
 
 
-def test_without_repeats_nothing_is_said():
+def test_without_repetitions_nothing_is_reported():
     recording, truth = network(repeats=1, seed=6)
     space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction(), start_state=truth.state))
     assert normalised_sum_matrix_of_repeats(space).shape[0] == 0
 
 
-def test_ranges_that_err_alike_in_both_faces_are_no_noise():
+def test_equal_range_errors_in_both_faces_are_no_noise():
     recording, truth = network(faces=2, repeats=1, seed=6)
     space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction(), start_state=truth.state))
     bank = NoiseHypothesisSet.from_residual_space(space, noise_hypotheses(space.sightings))
@@ -248,7 +251,7 @@ def test_ranges_that_err_alike_in_both_faces_are_no_noise():
         drawn = random_stream(4, name).standard_normal(amounts.max() + 1)[amounts]
         change = np.zeros((len(pair), 3))
         change[:, 0] = 2.0 * drawn
-        left = (
+        residuals = (
             space.whitened_residuals
             + space.project(
                 np.append(change[space.is_used_reading], np.zeros(space.n_equations - space.is_used_reading.sum()))[
@@ -256,12 +259,12 @@ def test_ranges_that_err_alike_in_both_faces_are_no_noise():
                 ]
             )[:, 0]
         )
-        evidence = evidence_of(bank, left, space.redundancy)
+        evidence = evidence_of(bank, residuals, space.redundancy)
         more[name] = evidence["unknown:noise:repeating"] - evidence["noise-level"]
     assert more["alike"] > 10.0 > -10.0 > more["each"]
-    found = VarianceFunction(("distance",), shared_error_repetition=REPEATS_IN_BOTH_FACES)
-    assert (found.response_text, found.regressor_text) == ("distance", "station and target")
-    assert "in both faces" in found.text
+    function = VarianceFunction(("distance",), shared_error_repetition=REPEATS_IN_BOTH_FACES)
+    assert (function.response_text, function.regressor_text) == ("distance", "station and target")
+    assert "in both faces" in function.text
 
 
 @pytest.mark.parametrize("factor", [3.0, 1000.0])
@@ -273,8 +276,8 @@ def test_the_size_of_noise_is_estimated_beyond_the_sizes_that_are_searched(facto
     adjusted = adjust(noisy, misalignment_construction(), start_state=truth.state)
     state = SelectionState.from_adjustment(adjusted, adjusted.problem.is_used_reading, 0, None)
     level = next(h for _, h in state.ranked_noise_hypotheses(state.empty_model) if h.effect.name == "noise-level")
-    found = with_estimated_sizes(state.residual_space, noisy.reading_sigmas(), level)
-    np.testing.assert_allclose(np.sqrt(1.0 + np.array(found.sizes)), factor, rtol=0.25)
+    estimated = with_estimated_sizes(state.residual_space, noisy.reading_sigmas(), level)
+    np.testing.assert_allclose(np.sqrt(1.0 + np.array(estimated.sizes)), factor, rtol=0.25)
 
 
 def test_a_target_that_no_other_reading_checks_does_not_widen_the_sizes_without_end(repeated) -> None:
@@ -287,8 +290,8 @@ def test_a_target_that_no_other_reading_checks_does_not_widen_the_sizes_without_
     unchecked = replace(
         space, projector=projector, whitened_residuals=np.where(is_first, 0.0, space.whitened_residuals)
     )
-    found = with_estimated_sizes(unchecked, space.reading_sigmas, NoiseHypothesis(mixture.name, mixture.effect, ()))
-    assert np.isfinite(found.sizes).all() and np.isfinite(found.chi2_drop)
+    estimated = with_estimated_sizes(unchecked, space.reading_sigmas, NoiseHypothesis(mixture.name, mixture.effect, ()))
+    assert np.isfinite(estimated.sizes).all() and np.isfinite(estimated.chi2_drop)
 
 
 @pytest.mark.parametrize("group_kind", ["target", "station", "reading"])
@@ -302,8 +305,8 @@ def test_the_likelihood_times_the_occam_factor_of_separate_noise_is_its_evidence
     occam_factors = []
     for residual in (factors * space.whitened_residuals, space.whitened_residuals):
         case = replace(space, whitened_residuals=residual)
-        found = with_estimated_sizes(case, space.reading_sigmas, NoiseHypothesis(mixture.name, mixture.effect, ()))
+        estimated = with_estimated_sizes(case, space.reading_sigmas, NoiseHypothesis(mixture.name, mixture.effect, ()))
         evidence = mixture.log_evidence(residual[:, None], space.redundancy)[0]
-        assert 0.5 * found.chi2_drop + found.log_occam_factor == pytest.approx(evidence, abs=1e-6)
-        occam_factors.append(found.log_occam_factor)
+        assert 0.5 * estimated.chi2_drop + estimated.log_occam_factor == pytest.approx(evidence, abs=1e-6)
+        occam_factors.append(estimated.log_occam_factor)
     assert occam_factors[0] < occam_factors[1] - 1.0

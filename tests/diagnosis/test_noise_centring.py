@@ -99,7 +99,7 @@ def test_a_diagnosis_reports_errors_that_repeats_share_in_place_of_curves_at_eac
     assert diagnosis.final_adjustment.sigma0 == pytest.approx(1.0, abs=0.1)
 
 
-def test_displacements_at_each_set_up_need_repeats_in_one_face() -> None:
+def test_displacements_at_each_set_up_need_repetitions_in_a_face() -> None:
     recording, _ = network(seed=15, stations=4, faces=2)
     assert log_evidence_and_centring_hypotheses(space_of(recording)) == []
     ((gain, _),) = log_evidence_and_centring_hypotheses(space_of(repeated(15, 0.0)))

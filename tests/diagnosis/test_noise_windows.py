@@ -58,7 +58,7 @@ def test_the_evidence_is_the_sum_over_all_sequences(space: ResidualSpace, monkey
     assert windows.log_evidence(residual, space.redundancy)[0] == pytest.approx(expected, rel=1e-9)
 
 
-def test_the_times_of_a_compressor_are_found(space: ResidualSpace) -> None:
+def test_the_times_of_a_compressor_are_detected(space: ResidualSpace) -> None:
     time = space.sightings.time
     noisy = np.zeros(len(time), dtype=bool)
     for share in (0.1, 0.4, 0.75):
@@ -71,7 +71,7 @@ def test_the_times_of_a_compressor_are_found(space: ResidualSpace) -> None:
     assert 4.0 < np.sqrt(1.0 + fitted.sizes[0]) < 5.5
 
 
-def test_noise_of_some_targets_for_a_time_is_found_at_them(space: ResidualSpace) -> None:
+def test_noise_of_several_targets_for_a_time_is_located_at_them(space: ResidualSpace) -> None:
     sightings, time = space.sightings, space.sightings.time
     group = max((g for g in target_clusters(sightings) if len(g) <= len(sightings.target_names) // 3), key=len)
     noisy = np.isin(sightings.target, group) & (time > np.quantile(time, 0.3)) & (time <= np.quantile(time, 0.7))

@@ -30,7 +30,7 @@ def clean(searcher: Searcher, seed: int) -> np.ndarray:
 
 @pytest.mark.long
 @pytest.mark.parametrize("most", [0, 500], ids=["sampled", "exact"])
-def test_clean_recordings_alarm_as_often_as_stated(most, monkeypatch):
+def test_clean_recordings_alarm_at_the_declared_rate(most, monkeypatch):
     monkeypatch.setattr("ltsim.diagnosis.null_ensemble.MAX_DENSE_UNKNOWNS", most)
     space = ResidualSpace.from_adjustment(adjust(network(seed=2, stations=3)[0], misalignment_construction()))
     chances = []
@@ -38,7 +38,7 @@ def test_clean_recordings_alarm_as_often_as_stated(most, monkeypatch):
         searcher = Searcher(space, seed, 300)
         assert searcher.is_large_network == (most == 0)
         null = GlobalTestResult(0.0, 1.0, searcher.empty_model_screening.null_test_statistics)
-        chances += [null.p_value_of(float(one)) for one in clean(searcher, seed)]
+        chances += [null.p_value_of(float(value)) for value in clean(searcher, seed)]
     for level, spread in ((0.05, 0.025), (0.2, 0.05), (0.5, 0.08)):
         assert np.mean(np.array(chances) <= level) == pytest.approx(level, abs=spread)
 

@@ -29,7 +29,7 @@ from tests.networks import network, with_effect
 # --- evidence ---------------------------------------------------------------------------------------------------------
 
 
-def test_an_effect_is_told_in_the_observables_on_which_it_acts_and_in_which_it_shows() -> None:
+def test_an_effect_is_reported_in_the_observables_on_which_it_acts_and_in_which_it_shows() -> None:
     use = np.array([[True, True, False], [True, True, True]])
     everywhere = np.ones(5)
     assert observables_changed_by_effect(use, everywhere, np.array([3.0, 0.9, 0.0, 0.0, 0.0])) == ("distance",)
@@ -48,17 +48,17 @@ def test_an_effect_is_told_in_the_observables_on_which_it_acts_and_in_which_it_s
 
 
 def test_what_is_no_question_gets_no_measurement() -> None:
-    found = adjust(network(faces=2, seed=6)[0], misalignment_construction())
-    assert separating_measurement_sentence(found, "range-step", [], ()) == ""
-    assert separating_measurement_sentence(found, "range-step", ["unknown"], ()) == ""
-    assert separating_measurement_sentence(found, "range-step", ["station-noise"], ()) == ""
-    assert separating_measurement_sentence(found, "station-noise", ["range-step"], ()) == ""
+    adjustment = adjust(network(faces=2, seed=6)[0], misalignment_construction())
+    assert separating_measurement_sentence(adjustment, "range-step", [], ()) == ""
+    assert separating_measurement_sentence(adjustment, "range-step", ["unknown"], ()) == ""
+    assert separating_measurement_sentence(adjustment, "range-step", ["station-noise"], ()) == ""
+    assert separating_measurement_sentence(adjustment, "station-noise", ["range-step"], ()) == ""
 
 
-def test_a_bump_and_a_settling_are_told_apart_by_another_order_of_the_work() -> None:
+def test_a_bump_and_a_settling_are_distinguished_by_another_order_of_the_work() -> None:
     settled = StationSettling(("S3",), time_constant=480.0)
-    found = adjust(with_effect(settled, [8e-6, -5e-6, 5e-6]), misalignment_construction())
-    advice = separating_measurement_sentence(found, "station-settling", ["station-bump"], ())
+    adjustment = adjust(with_effect(settled, [8e-6, -5e-6, 5e-6]), misalignment_construction())
+    advice = separating_measurement_sentence(adjustment, "station-settling", ["station-bump"], ())
     assert advice.startswith("measure every station's targets again in the reverse order: the expected chi-square")
     before, after = map(float, re.findall(r"from (\d+) to (\d+)", advice)[0])
     assert before < MIN_DECISIVE_CHI2 < after
@@ -67,18 +67,18 @@ def test_a_bump_and_a_settling_are_told_apart_by_another_order_of_the_work() -> 
 # --- global_test ----------------------------------------------------------------------------------------------------
 
 
-def test_chances_are_those_of_the_simulated_recordings_and_never_less_than_one_of_them() -> None:
+def test_p_values_are_ranks_among_simulated_recordings_and_never_zero() -> None:
     null = random_stream(3, "null").permutation(np.arange(1000.0))
-    found = GlobalTestResult(0.0, 1.0, null)
-    assert found.critical_value(0.05) == pytest.approx(949.05)
-    assert found.p_value_of(-1.0) == 1.0
-    assert found.p_value_of(500.0) == pytest.approx(501 / 1001)
-    assert found.p_value_of(999.0) == pytest.approx(2 / 1001)
-    assert found.p_value_of(1e4) == found.p_value_of(999.5) == pytest.approx(1 / 1001)
+    result = GlobalTestResult(0.0, 1.0, null)
+    assert result.critical_value(0.05) == pytest.approx(949.05)
+    assert result.p_value_of(-1.0) == 1.0
+    assert result.p_value_of(500.0) == pytest.approx(501 / 1001)
+    assert result.p_value_of(999.0) == pytest.approx(2 / 1001)
+    assert result.p_value_of(1e4) == result.p_value_of(999.5) == pytest.approx(1 / 1001)
 
 
 @pytest.mark.parametrize(
-    ("law", "where", "told"),
+    ("law", "where", "text"),
     [
         (
             "vertical index follows hall_c",
@@ -88,8 +88,8 @@ def test_chances_are_those_of_the_simulated_recordings_and_never_less_than_one_o
         ("vertical index differs", FindingScope(stations=("S4",)), "vertical index at station S4 differs"),
     ],
 )
-def test_the_place_of_a_law_stands_beside_what_varies(law, where, told):
-    assert told in law_sentence(where, [], 0.9, law)
+def test_the_place_of_a_law_is_next_to_its_response(law, where, text):
+    assert text in law_sentence(where, [], 0.9, law)
 
 
 # --- what is told -----------------------------------------------------------------------------------------------------
@@ -118,7 +118,7 @@ class Set:
         return {"d": 0.999}.get(self.members[member], 0.9)
 
 
-def test_a_doubtful_finding_is_modelled_and_told_only_where_nothing_else_is() -> None:
+def test_a_doubtful_finding_is_modelled_and_reported_only_where_nothing_else_is() -> None:
     untold = SelectedModelFit.unreported_effect_keys.func
     assert untold(Set(("a", "b", "c"), {"a": 0.9, "b": 0.1, "c": 0.2}, has_test_findings=True)) == ("b", "c")
     assert untold(Set(("a", "b", "c"), {"a": 0.9, "b": 0.1, "c": 0.2}, has_test_findings=False)) == ("b",)
@@ -136,7 +136,7 @@ def finding(effect: str, chi2_drop: float, probability: float) -> Finding:
     return Finding(effect=effect, evidence=FindingEvidence(chi2_drop=chi2_drop, parameters=1, probability=probability))
 
 
-def test_a_certain_effect_of_uncertain_form_is_reported_beside_noise() -> None:
+def test_a_certain_effect_of_uncertain_form_is_reported_next_to_noise() -> None:
     """It was left out where a change of the noise, or a wrong reading, was probable."""
     effect, noise = finding("unknown", 90.0, 0.1), finding("station-noise", 100.0, 0.9)
     doubtful, blunder = finding("turbulence", 20.0, 0.2), finding("outlier", 200.0, 0.9)
@@ -151,7 +151,7 @@ def cause(name: str, coefficients: int) -> SimpleNamespace:
     return SimpleNamespace(name=name, is_catalogued=True, log_prior=-3.0, plausible_sizes=np.ones(coefficients))
 
 
-def test_a_member_with_many_coefficients_is_not_kept_by_its_chi_square_alone() -> None:
+def test_a_member_with_many_coefficients_needs_more_than_its_chi_square() -> None:
     """Ten coefficients that lower chi-square by 16: the evidence, with its Occam factor, is against them."""
     basis = np.linalg.qr(random_stream(5, "support").standard_normal((60, 11)))[0]
     residual = 8.0 * basis[:, 0] + np.sqrt(1.6) * basis[:, 1:].sum(axis=1)

@@ -38,7 +38,7 @@ def test_the_drop_of_chi2_is_that_of_a_refit(space):
     assert drop == pytest.approx(space.adjustment.chi2 - again.chi2, abs=1e-2)
 
 
-def test_beside_what_was_found_the_drop_is_that_of_a_joint_refit(space):
+def test_with_a_selected_model_the_decrease_is_that_of_a_joint_refit(space):
     first, second = (
         law("elevation", scalar_regressor("time", "power")),
         law("elevation", scalar_regressor("distance", "power", 2.0)),
@@ -46,10 +46,10 @@ def test_beside_what_was_found_the_drop_is_that_of_a_joint_refit(space):
     extended = space.with_design_columns(space.whitened_design(first))
     design_columns = space.whitened_design(second)
     columns = orthonormal_columns(extended.project(design_columns), np.linalg.norm(design_columns, axis=0))
-    one = adjust(space.adjustment.recording, misalignment_construction(), effects=[first])
+    adjustment = adjust(space.adjustment.recording, misalignment_construction(), effects=[first])
     both = adjust(space.adjustment.recording, misalignment_construction(), effects=[first, second])
     drop = float(((columns.T @ extended.whitened_residuals) ** 2).sum())
-    assert drop == pytest.approx(one.chi2 - both.chi2, abs=1e-2)
+    assert drop == pytest.approx(adjustment.chi2 - both.chi2, abs=1e-2)
 
 
 def test_held_out_error_is_that_of_refits_without_the_fold(space):
@@ -69,7 +69,7 @@ def test_held_out_error_is_that_of_refits_without_the_fold(space):
     assert cross_validated_errors(space, 0).rms_without_model == pytest.approx(np.sqrt(square / count), rel=1e-3)
 
 
-def test_held_out_error_is_one_where_the_model_holds(space):
+def test_held_out_error_is_1_where_the_model_holds(space):
     assert cross_validated_errors(space, 0).rms_without_model == pytest.approx(1.0, abs=0.1)
 
 
@@ -79,7 +79,7 @@ def test_folds_are_whole_pointings_and_all_of_them(space):
     assert all(set(rows // 3) == set(rows[::3] // 3) and len(rows) % 3 == 0 for rows in groups)
 
 
-def test_all_pointings_of_a_target_from_a_set_up_are_in_one_fold():
+def test_all_pointings_of_a_target_from_a_set_up_are_in_the_same_fold():
     recording, _ = network(seed=3, stations=3, repeats=2)
     groups = random_fold_row_indices(ResidualSpace.from_adjustment(adjust(recording, misalignment_construction())), 3)
     pair = recording.station * len(recording.targets) + recording.target
@@ -109,7 +109,7 @@ def test_held_out_readings_contradict_a_law_that_they_do_not_follow(space):
 
 
 @pytest.mark.long
-def test_a_spurious_finding_does_not_predict_what_its_search_has_not_seen():
+def test_a_spurious_finding_does_not_predict_held_out_readings():
     """On clean recordings the search is made to find something: the error on held-out readings rises in most."""
     falls = 0
     for seed in range(6):
@@ -121,7 +121,7 @@ def test_a_spurious_finding_does_not_predict_what_its_search_has_not_seen():
 
 
 @pytest.mark.long
-def test_a_real_finding_predicts_what_its_search_has_not_seen(space):
+def test_a_real_finding_predicts_held_out_readings(space):
     wave = space.whitened_design(law("distance", Regressor("wave", ("azimuth",), constant=3.0)))[:, 0]
     hidden = replace(space, whitened_residuals=space.whitened_residuals + 8e-6 * space.project(wave))
     error = cross_validated_errors(hidden, 0, Searcher(hidden, 0))

@@ -7,7 +7,7 @@ import numpy as np
 import ltsim as lt
 
 
-def test_a_stand_that_was_touched_once_is_not_told_as_switched() -> None:
+def test_a_stand_that_was_touched_once_is_not_reported_as_switched() -> None:
     """A switch that is on from the touch to a time between two set-ups displaces no more than the touch."""
     recording, _ = lt.simulate("paper-workshop", seed=3)
     time = float(np.median(recording.time[recording.station == 1]))

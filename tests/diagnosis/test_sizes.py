@@ -73,23 +73,23 @@ def knocked(stations: int) -> tuple[Recording, str]:
 @pytest.mark.long
 def test_a_drift_of_the_index_is_named_among_hundreds_of_epochs() -> None:
     rate = 8e-6 / 3600.0
-    found = diagnose(monitoring(100, rate), seed=1, held_out=True)
-    first = found.findings[0]
+    diagnosis = diagnose(monitoring(100, rate), seed=1, held_out=True)
+    first = diagnosis.findings[0]
     assert first.effect == "index-drift"
-    assert len(found.findings) == 1
+    assert len(diagnosis.findings) == 1
     (size,) = (e for e in first.parameters if e.unit == "urad/h")
     assert abs(size.value - 8.0) < 4 * size.sigma
-    assert found.fit.after.held_out_rms == pytest.approx(1.0, abs=0.05)
-    assert found.fit.before.held_out_rms > 1.1
+    assert diagnosis.fit.after.held_out_rms == pytest.approx(1.0, abs=0.05)
+    assert diagnosis.fit.before.held_out_rms > 1.1
 
 
 @pytest.mark.long
-def test_a_knocked_target_is_found_in_a_levelled_ring_the_sparse_way(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_knocked_target_is_detected_in_a_levelled_ring_the_sparse_way(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ltsim.solve.projection.MAX_DESIGN_ENTRIES_FOR_BASIS", 0)
     monkeypatch.setattr("ltsim.diagnosis.null_ensemble.MAX_DENSE_UNKNOWNS", 0)
     recording, target = knocked(26)
-    found = diagnose(recording, seed=1)
-    assert isinstance(ResidualSpace.from_adjustment(found.baseline_adjustment).projector, FactorResidualProjector)
-    assert [(f.effect, f.where.targets) for f in found.findings] == [("target-moved", (target,))]
-    assert found.global_test.search_p_value == pytest.approx(1 / 100)
-    assert found.fit.before.held_out_rms is None  # five more searches of a large network are for who asks for them
+    diagnosis = diagnose(recording, seed=1)
+    assert isinstance(ResidualSpace.from_adjustment(diagnosis.baseline_adjustment).projector, FactorResidualProjector)
+    assert [(f.effect, f.where.targets) for f in diagnosis.findings] == [("target-moved", (target,))]
+    assert diagnosis.global_test.search_p_value == pytest.approx(1 / 100)
+    assert diagnosis.fit.before.held_out_rms is None  # five more searches of a large network are for who asks for them

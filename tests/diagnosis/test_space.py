@@ -45,24 +45,24 @@ def space() -> ResidualSpace:
 def made(space):
     """All panels, scored once."""
     probe = NullEnsemble.from_residual_space(space, 0, 300)
-    found = law_batches(space)
-    return probe, found, [panel.best_laws_and_log_total_evidence(probe) for panel in found]
+    batches = law_batches(space)
+    return probe, batches, [panel.best_laws_and_log_total_evidence(probe) for panel in batches]
 
 
 def alone(space: ResidualSpace, law: CandidateEffect, residual: np.ndarray, extension: np.ndarray) -> float:
     """Log evidence of a law by its own signature."""
-    left = space.project(space.whitened_design(law))
-    left -= extension @ (extension.T @ left)
+    projected = space.project(space.whitened_design(law))
+    projected -= extension @ (extension.T @ projected)
     sizes = np.array([p.prior_sigma for p in law.parameters])
-    return coefficient_posterior(left.T @ left, left.T @ residual, sizes)[2]
+    return coefficient_posterior(projected.T @ projected, projected.T @ residual, sizes)[2]
 
 
-def test_a_target_that_is_displaced_for_every_pointing_alike_is_no_law(made):
+def test_a_constant_displacement_of_a_target_is_no_law(made):
     """That is its place, which is estimated; known lengths alone would feel it, and they have errors of their own."""
     assert not [p for p in made[1] if p.responses[0].changed_part == "target" and CONSTANT_REGRESSOR in p.regressors]
 
 
-def test_priors_sum_to_one_over_everything(space, made):
+def test_priors_sum_to_1_over_everything(space, made):
     """Every kind of explanation, every card, law and change of the noise that is tried, at every place."""
     for table in (
         PRIOR_PROBABILITY_BY_CAUSE_CLASS,
@@ -73,17 +73,17 @@ def test_priors_sum_to_one_over_everything(space, made):
         assert sum(table.values()) == pytest.approx(1.0, abs=1e-12)
     assert sum(part for _, part in prior_table_rows()) == pytest.approx(1.0, abs=1e-12)
     assert np.exp(LOG_PRIOR_OF_EFFECT_SIZES).sum() == pytest.approx(1.0)
-    _, found, _ = made
+    _, batches, _ = made
     laws = sum(
         np.exp(p.log_prior_by_place).sum() * len(p.responses) * sum(len(d.coefficient_sigmas) for d in p.regressors)
-        for p in found
+        for p in batches
     )
     cards = CatalogueDesigns.from_residual_space(space, catalogue_candidate_effects(space.sightings))
     families = cards.log_evidence_by_family(np.zeros(len(cards.effects))) + cards.log_prior_by_family
     noise = NoiseHypothesisSet.from_residual_space(space, noise_hypotheses(space.sightings))
     nothing = np.append(
         noise._log_evidence_from_ratios(np.zeros((len(noise.hypotheses), 1))),
-        [noise.log_prior_of_family(one.name) for one in noise.group_noise_hypotheses],
+        [noise.log_prior_of_family(hypothesis.name) for hypothesis in noise.group_noise_hypotheses],
     )
     assert laws == pytest.approx(PRIOR_PROBABILITY_BY_CAUSE_CLASS["law"])
     assert np.exp(families).sum() == pytest.approx(PRIOR_PROBABILITY_BY_CAUSE_CLASS["named"])
@@ -114,28 +114,28 @@ def test_a_set_is_scored_with_its_sizes_averaged(space):
     effects = [find_effect("station-weather")(("S2",)), find_effect("backlash")()]
     members = [Hypothesis(e, -3.0, 0.0, e.name) for e in effects]
     designs = [space.whitened_design(e) for e in effects]
-    left = [space.project(g) for g in designs]
-    whole = space.whitened_residuals + 9e-6 * left[0][:, 0]
-    found = EffectModel(tuple(members), tuple(left), tuple(np.linalg.norm(g, axis=0) for g in designs), whole)
+    projected = [space.project(g) for g in designs]
+    whole = space.whitened_residuals + 9e-6 * projected[0][:, 0]
+    model = EffectModel(tuple(members), tuple(projected), tuple(np.linalg.norm(g, axis=0) for g in designs), whole)
     sizes = [np.array([p.prior_sigma for p in e.parameters]) for e in effects]
     logs = []
-    for one, weight in zip(RELATIVE_EFFECT_SIZES, LOG_PRIOR_OF_EFFECT_SIZES, strict=True):
+    for size, weight in zip(RELATIVE_EFFECT_SIZES, LOG_PRIOR_OF_EFFECT_SIZES, strict=True):
         for other, more in zip(RELATIVE_EFFECT_SIZES, LOG_PRIOR_OF_EFFECT_SIZES, strict=True):
-            columns = np.hstack([left[0] * one * sizes[0], left[1] * other * sizes[1]])
+            columns = np.hstack([projected[0] * size * sizes[0], projected[1] * other * sizes[1]])
             inner = np.eye(columns.shape[1]) + columns.T @ columns
             score = columns.T @ whole
             fit = score @ np.linalg.solve(inner, score)
             logs.append(weight + more + 0.5 * (fit - np.linalg.slogdet(inner)[1]))
-    assert found.penalised_log_evidence == pytest.approx(float(log_sum_exp(np.array(logs))) - 6.0, abs=0.02)
-    single = EffectModel(tuple(members[:1]), tuple(left[:1]), found.design_column_norms[:1], whole)
-    alone_ = log_evidence_of_coefficients(left[0].T @ left[0], left[0].T @ whole, sizes[0])
+    assert model.penalised_log_evidence == pytest.approx(float(log_sum_exp(np.array(logs))) - 6.0, abs=0.02)
+    single = EffectModel(tuple(members[:1]), tuple(projected[:1]), model.design_column_norms[:1], whole)
+    alone_ = log_evidence_of_coefficients(projected[0].T @ projected[0], projected[0].T @ whole, sizes[0])
     assert single.penalised_log_evidence == pytest.approx(float(alone_) - 3.0, abs=1e-6)
 
 
 def test_scores_by_sums_over_places_are_those_of_single_laws(space, made):
-    _, found, scored = made
+    _, batches, scored = made
     nothing = np.zeros((space.n_equations, 0))
-    for (hits, _, _), panel in zip(scored, found, strict=True):
+    for (hits, _, _), panel in zip(scored, batches, strict=True):
         for hit in (hits[0], hits[-1]):
             scales = range(len(hit.regressor.coefficient_sigmas))
             laws = [
@@ -147,19 +147,19 @@ def test_scores_by_sums_over_places_are_those_of_single_laws(space, made):
             assert hit.log_evidence == pytest.approx(float(exact), abs=0.02), (panel.responses[0], hit)
 
 
-def test_beside_what_was_found_nothing_of_it_is_left_to_score(space, made):
-    probe, found, _ = made
+def test_a_selected_law_has_no_score_next_to_itself(space, made):
+    probe, batches, _ = made
     law = EmpiricalLaw((), (), RESPONSE_AND_DESIGN_BY_NAME["elevation"][0], scalar_regressor("move-elevation", "abs"))
-    left = space.project(space.whitened_design(law))
-    left /= np.linalg.norm(left)
-    residual = space.whitened_residuals + 20.0 * left[:, 0]
+    projected = space.project(space.whitened_design(law))
+    projected /= np.linalg.norm(projected)
+    residual = space.whitened_residuals + 20.0 * projected[:, 0]
     gains = []
-    for extension in (np.zeros((space.n_equations, 0)), left):
-        beside = probe.with_model(residual - extension @ (extension.T @ residual), extension)
+    for extension in (np.zeros((space.n_equations, 0)), projected):
+        extended = probe.with_model(residual - extension @ (extension.T @ residual), extension)
         hits = [
             h
-            for panel in found
-            for h in panel.best_laws_and_log_total_evidence(beside)[0]
+            for panel in batches
+            for h in panel.best_laws_and_log_total_evidence(extended)[0]
             if not (h.place.stations or h.place.targets)
         ]
         same = (h for h in hits if (h.response.name, h.regressor) == (law.response.name, law.regressor))
@@ -175,11 +175,11 @@ def test_many_effects_at_once_are_each_what_it_is_alone(space):
         EmpiricalLaw(("S2",), (), law.response, law.regressor),
     ]
     effects = [law, find_effect("index-drift")(), *local, find_effect("station-weather")(("S1",)), law]
-    found = find_effect("range-drift")()
-    design_columns = space.whitened_design(found)
-    left = space.project(design_columns)
-    member = Hypothesis(found, 0.0, 0.0, found.name)
-    base = EffectModel((member,), (left,), (np.linalg.norm(design_columns, axis=0),), space.whitened_residuals)
+    drift = find_effect("range-drift")()
+    design_columns = space.whitened_design(drift)
+    projected = space.project(design_columns)
+    member = Hypothesis(drift, 0.0, 0.0, drift.name)
+    base = EffectModel((member,), (projected,), (np.linalg.norm(design_columns, axis=0),), space.whitened_residuals)
     exact = EvidenceCalculator(space)
     for _ in range(2):
         values = [alone(space, effect, base.residual, base.projected_basis) for effect in effects]
@@ -201,7 +201,7 @@ def test_a_local_search_ends_at_the_rounding_error_of_the_evidence(space):
     assert len(steps) < 30, len(steps)
 
 
-def test_what_chance_makes_of_a_search_has_no_expectation_of_its_own(made):
+def test_a_search_in_noise_has_expectation_zero(made):
     """Marginal likelihood ratios average to one where there is nothing."""
     for _, _, null in made[2]:
         assert log_sum_exp(null) - np.log(len(null)) < np.log(PRIOR_PROBABILITY_BY_CAUSE_CLASS["law"]) + 1.5
@@ -217,8 +217,8 @@ def test_simulated_residuals_stand_for_the_basis_in_large_networks(space, monkey
     _, _, exact = CatalogueDesigns.from_residual_space(space, effects).screen(
         NullEnsemble.from_residual_space(space, 0, 0)
     )
-    for one, other in zip(sampled.groups, exact.groups, strict=True):
-        np.testing.assert_allclose(one.projected_gram, other.projected_gram, rtol=0.4)
+    for sampled_group, other in zip(sampled.groups, exact.groups, strict=True):
+        np.testing.assert_allclose(sampled_group.projected_gram, other.projected_gram, rtol=0.4)
 
 
 def test_what_is_like_a_finding_is_not_overrated_in_a_large_network(space, monkeypatch):
@@ -226,8 +226,10 @@ def test_what_is_like_a_finding_is_not_overrated_in_a_large_network(space, monke
     steps = [step for step in find_effect("range-step").candidates(space.sightings) if step.stations == ("S2",)]
     member = Hypothesis(steps[len(steps) // 2], 0.0, 0.0, "range-step")
     design_columns = space.whitened_design(member.effect)
-    left = space.project(design_columns)
-    base = EffectModel((member,), (left,), (np.linalg.norm(design_columns, axis=0),), 3.0 * space.whitened_residuals)
+    projected = space.project(design_columns)
+    base = EffectModel(
+        (member,), (projected,), (np.linalg.norm(design_columns, axis=0),), 3.0 * space.whitened_residuals
+    )
     values = []
     for most in (0, 500):
         monkeypatch.setattr("ltsim.diagnosis.null_ensemble.MAX_DENSE_UNKNOWNS", most)
@@ -248,10 +250,10 @@ def test_evidence_is_that_of_the_dense_covariance():
         quadratic = residual @ (residual - np.linalg.solve(covariance, residual))
         logs.append(0.5 * (quadratic - np.linalg.slogdet(covariance)[1]))
     gram = design_columns.T @ design_columns
-    found = coefficient_posterior(gram, design_columns.T @ residual, np.ones(2))
-    assert found[2] == pytest.approx(float(log_sum_exp(np.array(logs) + LOG_PRIOR_OF_EFFECT_SIZES)))
+    posterior = coefficient_posterior(gram, design_columns.T @ residual, np.ones(2))
+    assert posterior[2] == pytest.approx(float(log_sum_exp(np.array(logs) + LOG_PRIOR_OF_EFFECT_SIZES)))
     strength, turn = np.linalg.eigh(gram)
-    assert found[2] == pytest.approx(float(log_evidence((turn.T @ design_columns.T @ residual) ** 2, strength)))
+    assert posterior[2] == pytest.approx(float(log_evidence((turn.T @ design_columns.T @ residual) ** 2, strength)))
 
 
 def test_a_negative_thickness_is_no_explanation():
@@ -259,7 +261,7 @@ def test_a_negative_thickness_is_no_explanation():
     assert log_positivity_factor(-5.0, 1.0) < -10.0
 
 
-def test_unknown_is_told_where_it_is_likelier_than_all_names_together():
+def test_unknown_is_reported_where_it_is_likelier_than_all_names_together():
     def ranking(**values: float) -> HypothesisRanking:
         law = EmpiricalLaw((), (), RESPONSE_AND_DESIGN_BY_NAME["distance"][0], CONSTANT_REGRESSOR)
         return HypothesisRanking(tuple(Hypothesis(law, 0.0, v, n) for n, v in values.items()), 0.0)
@@ -270,13 +272,15 @@ def test_unknown_is_told_where_it_is_likelier_than_all_names_together():
 
 def test_what_an_unknown_law_leaves_is_no_further_cause(space):
     law = EmpiricalLaw((), (), RESPONSE_AND_DESIGN_BY_NAME["distance"][0], scalar_regressor("time", "power"))
-    left = space.project(space.whitened_design(law))
+    projected = space.project(space.whitened_design(law))
     unknown = Hypothesis(law, 0.0, 0.0, "unknown")
-    known = Hypothesis(find_effect("index-drift")(), 0.0, 0.0, "index-drift")
-    whole = 1e7 * left[:, 0]
-    found = [EffectModel((h,), (left,), np.linalg.norm(left, axis=0)[None], whole) for h in (unknown, known)]
-    assert found[0].discrepancy_penalty == pytest.approx(0.5 * RELATIVE_ERROR_OF_LAW_FORM * whole @ whole)
-    assert found[1].discrepancy_penalty == 0.0
+    hypothesis = Hypothesis(find_effect("index-drift")(), 0.0, 0.0, "index-drift")
+    whole = 1e7 * projected[:, 0]
+    models = [
+        EffectModel((h,), (projected,), np.linalg.norm(projected, axis=0)[None], whole) for h in (unknown, hypothesis)
+    ]
+    assert models[0].discrepancy_penalty == pytest.approx(0.5 * RELATIVE_ERROR_OF_LAW_FORM * whole @ whole)
+    assert models[1].discrepancy_penalty == 0.0
 
 
 def test_the_largest_entries_are_those_of_a_stable_sort() -> None:

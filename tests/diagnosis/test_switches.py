@@ -82,31 +82,31 @@ def test_moments_of_toggled_spans_are_those_of_the_switched_law(space: ResidualS
     assert float(value) == pytest.approx(float(exact.log_evidence([switched], base)[0]), rel=1e-6)
 
 
-def test_the_times_of_a_machine_are_found(space: ResidualSpace) -> None:
+def test_the_times_of_a_machine_are_detected(space: ResidualSpace) -> None:
     law = EmpiricalLaw((), (), RESPONSE_AND_DESIGN_BY_NAME["azimuth"][0], smooth_regressor("time"))
     times = at(space, 0.15, 0.3, 0.55, 0.8)
     base = with_law(space, law.with_switch(times), 600.0)
     exact = EvidenceCalculator(space)
-    found = switched_forms(exact, law, 0.0, base)[0].effect
-    assert isinstance(found, EmpiricalLaw) and found.regressor.kind == "switch"
-    values = exact.log_evidence([found, law.with_switch(times)], base)
+    effect = switched_forms(exact, law, 0.0, base)[0].effect
+    assert isinstance(effect, EmpiricalLaw) and effect.regressor.kind == "switch"
+    values = exact.log_evidence([effect, law.with_switch(times)], base)
     assert values[0] > values[1] - 1.0  # changes between two set-ups are absorbed by their poses
-    edges = np.array([edge.constant for edge in found.regressor.factors])
+    edges = np.array([edge.constant for edge in effect.regressor.factors])
     assert all(np.abs(edges - t.constant).min() < 60.0 for t in times[:3])
 
 
-def test_air_that_is_cold_for_a_time_is_found_from_the_times(space: ResidualSpace) -> None:
+def test_air_that_is_cold_for_a_time_is_detected_from_the_times(space: ResidualSpace) -> None:
     region = path_length_regressor(HallRegion("z", (0.8,), 0.4))
     gate = switch_regressor(at(space, 0.1, 0.2, 0.4, 0.5))
     law = EmpiricalLaw((), (), RESPONSE_AND_DESIGN_BY_NAME["distance"][0], Regressor("product", factors=(region, gate)))
     base, exact = with_law(space, law, 600.0), EvidenceCalculator(space)
     of_time = switched_forms(exact, EmpiricalLaw((), (), law.response, smooth_regressor("time")), 0.0, base)
-    found = max(product_forms(exact, of_time[0], base), key=lambda form: form.log_evidence)
-    assert isinstance(found.effect, EmpiricalLaw) and found.effect.regressor.hall_region is not None
-    assert found.log_evidence > of_time[0].log_evidence + 20.0
+    best_form = max(product_forms(exact, of_time[0], base), key=lambda form: form.log_evidence)
+    assert isinstance(best_form.effect, EmpiricalLaw) and best_form.effect.regressor.hall_region is not None
+    assert best_form.log_evidence > of_time[0].log_evidence + 20.0
 
 
-def test_a_wave_in_azimuth_that_grows_with_the_distance_is_found_from_the_wave(space: ResidualSpace) -> None:
+def test_a_wave_in_azimuth_that_grows_with_the_distance_is_detected_from_the_wave(space: ResidualSpace) -> None:
     wave = Regressor("wave", ("azimuth",), constant=3.0)
     response = RESPONSE_AND_DESIGN_BY_NAME["elevation"][0]
     growing = EmpiricalLaw(

@@ -31,7 +31,7 @@ BLOCK = re.compile(
     re.MULTILINE | re.DOTALL,
 )
 FILE = re.compile(r"# (?P<name>[\w./-]+\.(?:toml|py|csv|txt|yml))\n")
-ALIKE = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+DOCTEST_FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
 
 @dataclass(frozen=True)
@@ -48,16 +48,16 @@ class Block:
 def blocks(page: Path) -> Iterator[Block]:
     """The fenced blocks of a page."""
     content = page.read_text(encoding="utf-8")
-    for found in BLOCK.finditer(content):
-        line = content.count("\n", 0, found.start("fence")) + 1
-        yield Block(found["kind"], found["text"], line, found["mark"] != "not run", found["mark"] == "long run")
+    for match in BLOCK.finditer(content):
+        line = content.count("\n", 0, match.start("fence")) + 1
+        yield Block(match["kind"], match["text"], line, match["mark"] != "not run", match["mark"] == "long run")
 
 
 def check_page(page: Path, folder: Path, *, long: bool) -> int:
     """Run the blocks of a page, in the long run or in another, in a folder that is the current one; how many ran."""
-    for beside in page.parent.iterdir():
-        if beside.suffix == ".csv" or beside.name.startswith("example-"):
-            (shutil.copytree if beside.is_dir() else shutil.copy)(beside, folder / beside.name)
+    for neighbour in page.parent.iterdir():
+        if neighbour.suffix == ".csv" or neighbour.name.startswith("example-"):
+            (shutil.copytree if neighbour.is_dir() else shutil.copy)(neighbour, folder / neighbour.name)
     for room in ("docs", "experiments"):  # a reader's checkout
         (folder / room).symlink_to(ROOT / room)
     names: dict[str, object] = {"__name__": "__main__"}
@@ -73,7 +73,7 @@ def check_page(page: Path, folder: Path, *, long: bool) -> int:
             printed = _shell(block.text, where) if block.kind == "sh" else _python(block.text, where, names)
             count += 1
         elif block.kind == "text" and printed is not None:
-            same = doctest.OutputChecker().check_output(block.text, printed, ALIKE)
+            same = doctest.OutputChecker().check_output(block.text, printed, DOCTEST_FLAGS)
             assert same, f"{where}: the page says\n{block.text}\nbut it prints\n{printed}"
             printed = None
     return count

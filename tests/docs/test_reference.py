@@ -21,17 +21,17 @@ from from_code.keys import json_place, sections
 
 def tables(model: type[BaseModel]) -> set[type[BaseModel]]:
     """The model and those of the tables in it."""
-    found = {model}
+    models = {model}
 
     def search(annotation: Any) -> None:
-        if isinstance(annotation, type) and issubclass(annotation, BaseModel) and annotation not in found:
-            found.update(tables(annotation))
+        if isinstance(annotation, type) and issubclass(annotation, BaseModel) and annotation not in models:
+            models.update(tables(annotation))
         for inner in get_args(annotation):
             search(inner)
 
     for field in model.model_fields.values():
         search(field.annotation)
-    return found
+    return models
 
 
 @pytest.mark.parametrize("file", MODEL_BY_FILE_NAME)

@@ -34,10 +34,10 @@ LATER = [p for p in RUNNING if p.name in MINUTES or any(b.long for b in blocks(p
 @pytest.fixture(autouse=True)
 def catalogue() -> Iterator[None]:
     """Effects that a page adds are known on that page alone."""
-    kept = dict(CATALOGUE.__dict__)
+    saved_catalogue = dict(CATALOGUE.__dict__)
     yield
     CATALOGUE.__dict__.clear()
-    CATALOGUE.__dict__.update(kept)
+    CATALOGUE.__dict__.update(saved_catalogue)
 
 
 @pytest.mark.parametrize(
@@ -57,8 +57,8 @@ def test_page_does_what_it_says(page: Path, long: bool, tmp_path: Path, monkeypa
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.relative_to(ROOT).as_posix())
 def test_page_has_no_block_of_an_unknown_kind(page: Path) -> None:
     """A misspelt language would keep a block from being run without a word."""
-    known = {"sh", "python", "text", "toml", "yaml", "json", "csv", ""}
-    unknown = [f"line {b.line}: {b.kind}" for b in blocks(page) if b.kind not in known and b.text.strip()]
+    kinds = {"sh", "python", "text", "toml", "yaml", "json", "csv", ""}
+    unknown = [f"line {b.line}: {b.kind}" for b in blocks(page) if b.kind not in kinds and b.text.strip()]
     assert not unknown
 
 

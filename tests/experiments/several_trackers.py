@@ -43,9 +43,11 @@ def scenario_of(
         With one face the vertical index is known together with the encoder's cosines only, alone to 5 urad.
     """
     names = [chr(ord("A") + i) for i in range(trackers)]
-    own: dict[str, Any] = {name: {"corrected": True, "error_factor": SMALL, "errors": {"draw": True}} for name in names}
-    own[off]["errors"] |= {"beam-tilt": 15.0} if errors is None else dict(errors)
-    for table in own.values():
+    settings: dict[str, Any] = {
+        name: {"corrected": True, "error_factor": SMALL, "errors": {"draw": True}} for name in names
+    }
+    settings[off]["errors"] |= {"beam-tilt": 15.0} if errors is None else dict(errors)
+    for table in settings.values():
         table["limits"] = {"range_min_mm": 1_000, "range_max_mm": REACH}
     return validate_scenario(
         {
@@ -53,7 +55,7 @@ def scenario_of(
             "title": f"{setups} set-ups of {trackers} trackers, {off} is off",
             "workshop": {"size_mm": HALL},
             "work": {"faces": faces, "minutes_per_move": 8.0},
-            "instruments": own,
+            "instruments": settings,
             "stations": _stations(setups, names),
             "targets": _targets(),
         },

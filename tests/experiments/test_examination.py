@@ -25,7 +25,7 @@ from ltsim.physics.model.construction import misalignment_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState, sightings_at_state
 
 PLACE = "experiments.20_concealed_physics."
-hall_of, known, law, made, tracker, score, report, entrants = (
+hall_of, catalogue, law, made, tracker, score, report, entrants = (
     import_module(PLACE + name)
     for name in ("hall", "laws.catalogue", "law", "make", "tracker", "score", "report", "entrants")
 )
@@ -36,7 +36,7 @@ catalogued = { 200 = 1 }
 """
 
 
-def test_who_answered_the_same_truth_before_stays_beside_the_new_one(tmp_path: Path) -> None:
+def test_programs_with_earlier_answers_to_the_same_truth_stay_in_the_table(tmp_path: Path) -> None:
     row = {"name": "R1", "kind": "clean", "hall": "hall", "law": "", "strength": 0, "given_law_um": 1.0,
            "plain_um": 1.0, "seconds": 1.0, "answered": True, "p_value": 0.5, "probabilities": []}  # fmt: skip
     head = {"plan": "plan", "sha256": "0", "recordings": 1, "draws_excluded": 0}
@@ -44,13 +44,15 @@ def test_who_answered_the_same_truth_before_stays_beside_the_new_one(tmp_path: P
     report.write_report({"two": [row | {"detected": False}]}, tmp_path, head)
     answers = json.loads((tmp_path / "scores.json").read_text())["entrants"]
     assert [answers[who]["false alarms, hall"]["count"] for who in ("one", "two")] == [1, 0]
-    assert [r["detected"] for own in report.read_rows(tmp_path / report.ROWS).values() for r in own] == [True, False]
+    assert [
+        r["detected"] for entrant_rows in report.read_rows(tmp_path / report.ROWS).values() for r in entrant_rows
+    ] == [True, False]
     report.write_report({"three": [row]}, tmp_path, head | {"sha256": "1"})
     assert list(json.loads((tmp_path / "scores.json").read_text())["entrants"]) == ["three"]
     assert list(report.read_rows(tmp_path / report.ROWS)) == ["three"]
 
 
-def test_a_program_that_is_not_there_is_left_out(
+def test_a_program_that_is_not_installed_is_skipped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
@@ -70,7 +72,7 @@ def read(hall: Any, readings: Any, folder: Path) -> Any:
 def state_of(hall: Any, recording: Any) -> NetworkState:
     """The truth, in the order in which a reader meets stations, targets and instruments."""
     p = hall.pointings
-    stations, targets = ([own.index(name) for name in theirs] for own, theirs in
+    stations, targets = ([true_names.index(name) for name in theirs] for true_names, theirs in
                          ((hall.stations, recording.stations), (hall.targets, recording.targets)))  # fmt: skip
     return NetworkState(p.position[stations], p.rotation[stations], p.points[targets], p.constants)
 
@@ -102,7 +104,7 @@ def test_a_third_party_makes_answers_and_scores_without_ltsim(root: Path, tmp_pa
     mine = scores["entrants"]["mine"]
     assert mine["false alarms, hall"]["count"] == 0
     assert (mine["catalogued hall 200: detected"]["count"], mine["catalogued hall 200: detected"]["total"]) == (0, 12)
-    assert "| catalogued hall 200: found | 0 of 12 " in (tmp_path / "scores" / "table.md").read_text()
+    assert "| catalogued hall 200: detected | 0 of 12 " in (tmp_path / "scores" / "table.md").read_text()
 
 
 def test_a_truth_that_was_changed_is_not_scored(tmp_path: Path) -> None:
@@ -110,7 +112,7 @@ def test_a_truth_that_was_changed_is_not_scored(tmp_path: Path) -> None:
     (tmp_path / "plan.toml").write_text('seed = 5\nlaws = ["bearings_and_circles"]\nclean = 1\n')
     made.make(made.read_plan(tmp_path / "plan.toml"), tmp_path)
     (tmp_path / made.TRUTH).write_text((tmp_path / made.TRUTH).read_text().replace("clean", "dirty"))
-    with pytest.raises(SystemExit, match="sealed"):
+    with pytest.raises(SystemExit, match="checksum"):
         main.score(tmp_path, ["ltsim"], tmp_path, "plan")
 
 
@@ -143,11 +145,11 @@ def effect_of(name: str, cause: Any, order: int) -> Effect:
     return NestLift(stations, targets, "normal") if name == "nest-lift" else kind(**constants)
 
 
-@pytest.mark.parametrize("name", list(known.KNOWN))
+@pytest.mark.parametrize("name", list(catalogue.KNOWN))
 def test_a_catalogued_cause_does_what_the_catalogue_says(name: str, tmp_path: Path) -> None:
     faces = 1 if name == "backlash" else 2
     hall = next(h for h in halls(20) if h.pointings.face.max() == faces)
-    cause = known.KNOWN[name](hall, np.random.default_rng(32))
+    cause = catalogue.KNOWN[name](hall, np.random.default_rng(32))
     factors = {"um": 1e-6, "urad": 1e-6, "ppm": 1e-6, "um/h": 1e-6 / 3600, "urad/h": 1e-6 / 3600, "": 1.0}
     values = cause.values * [factors[unit] for unit in cause.units]
     recording = read(hall, hall.pointings.readings(), tmp_path)
@@ -177,25 +179,25 @@ def test_a_catalogued_cause_does_what_the_catalogue_says(name: str, tmp_path: Pa
         ("the-upright-bar-was-certified-lying-down", 6),
     ],
 )
-def test_strength_is_what_the_adjustment_is_left_with(name: str, strength: int, tmp_path: Path) -> None:
+def test_strength_is_what_the_adjustment_leaves(name: str, strength: int, tmp_path: Path) -> None:
     """Without noise the law leaves its strength in the chi-square of ltsim's adjustment."""
     write = import_module(PLACE + "recording").write_recording
     case = made.Case(33, "unknown", "hall", name, strength, 0, ("used",))
-    hall, _, _, change = made.drawn(case, made.Counter())
+    hall, _, _, change = made.draw_case(case, made.Counter())
     wrong = 0.0 if change.lengths is None else change.lengths
-    left = []
+    strengths = []
     for part in (-1.0, 0.0, 1.0):  # either way: what the prior of the constants leaves has no part in the mean
         folder = tmp_path / str(part)
         write(hall, hall.pointings.readings(change.scaled(part)), hall.lengths + part * wrong, folder)
-        left.append(adjust(lt.read(folder), misalignment_construction()).chi2)
-    assert 0.5 * (left[0] + left[2]) - left[1] == pytest.approx(strength, rel=0.1)
+        strengths.append(adjust(lt.read(folder), misalignment_construction()).chi2)
+    assert 0.5 * (strengths[0] + strengths[2]) - strengths[1] == pytest.approx(strength, rel=0.1)
 
 
 def test_a_large_hall_has_above_500_unknowns() -> None:
     hall = hall_of.draw_hall(np.random.default_rng(3), "large")
     assert 6 * (len(hall.stations) - 1) + 3 * len(hall.targets) + 16 * len(hall.trackers) > 500
-    seen = np.unique(np.stack([hall.pointings.station, hall.pointings.target]), axis=1)[1]
-    assert np.bincount(seen).min() >= 3
+    sighted = np.unique(np.stack([hall.pointings.station, hall.pointings.target]), axis=1)[1]
+    assert np.bincount(sighted).min() >= 3
 
 
 def test_every_law_acts_somewhere_and_names_what_exists() -> None:
@@ -211,17 +213,17 @@ def test_every_law_acts_somewhere_and_names_what_exists() -> None:
                 missing.discard(name)
             assert all(np.isfinite(part).all() for part in change.parts.values()), name
     assert not missing
-    for found in laws.values():
-        assert {w for item in (*found.follows, found.optional) for w in item} <= words | columns, found.name
+    for entry in laws.values():
+        assert {w for item in (*entry.follows, entry.optional) for w in item} <= words | columns, entry.name
 
 
 def finding(**more: Any) -> dict[str, Any]:
     where = {"observables": ["elevation"], "stations": [], "targets": [], "instruments": [], "covariates": ["time"]}
     bare = {"effect": "unknown", "carrier": "elevation", "where": where, "parameters": [], "equivalents": []}
-    told = copy.deepcopy(bare | {"evidence": {"probability": 0.8}})
+    content = copy.deepcopy(bare | {"evidence": {"probability": 0.8}})
     for key, value in more.items():
-        (told["where"] if key in where else told)[key] = value
-    return told
+        (content["where"] if key in where else content)[key] = value
+    return content
 
 
 HIDDEN = {
@@ -231,7 +233,7 @@ HIDDEN = {
 
 
 @pytest.mark.parametrize(
-    ("told", "observable", "all_covariates", "outside"),
+    ("reported", "observable", "all_covariates", "outside"),
     [
         (finding(covariates=["time", "height"]), True, True, False),
         (finding(covariates=["time", "place", "distance"]), True, True, False),
@@ -245,9 +247,9 @@ HIDDEN = {
     ],
 )
 def test_a_law_is_scored_by_the_rules(
-    told: dict[str, Any], observable: bool, all_covariates: bool, outside: bool
+    reported: dict[str, Any], observable: bool, all_covariates: bool, outside: bool
 ) -> None:
-    row = score._recognised(HIDDEN, told)
+    row = score._law_scores(HIDDEN, reported)
     assert (row["observable"], row["all_covariates"], row["outside"]) == (observable, all_covariates, outside)
     assert row["covariates_or_outside"] == (all_covariates or outside)
 
@@ -259,7 +261,7 @@ def test_a_motion_is_right_as_itself_or_by_its_observables() -> None:
     assert not score.observable_right(hidden, finding())
 
 
-def test_intervals_are_wider_where_recordings_of_a_law_are_alike() -> None:
+def test_intervals_are_wider_where_recordings_of_a_law_are_correlated() -> None:
     hits, alone = [True] * 15 + [False] * 15, [str(k) for k in range(30)]
     independent, clustered = proportion(hits, alone), proportion(hits, [str(k // 5) for k in range(30)])
     assert clustered["design_effect"] == pytest.approx(5.0) and independent["design_effect"] == 1.0
@@ -271,7 +273,7 @@ def test_intervals_hold_what_they_say() -> None:
     """400 examinations of 40 laws, each right in a share of its own and asked 4 times: 95 % +- 3 % hold the truth."""
     rng, held = np.random.default_rng(4), 0
     for _ in range(400):
-        own = np.repeat(rng.beta(2.0, 1.0, 40), 4)
-        part = proportion((rng.random(160) < own).tolist(), [str(k // 4) for k in range(160)])
+        rates = np.repeat(rng.beta(2.0, 1.0, 40), 4)
+        part = proportion((rng.random(160) < rates).tolist(), [str(k // 4) for k in range(160)])
         held += part["low"] <= 2 / 3 <= part["high"]
     assert 0.92 <= held / 400 <= 0.985

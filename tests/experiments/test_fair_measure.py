@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 PLACE = "experiments.20_concealed_physics."
-hall_of, tracker, measure, network_of, ideal, known = (
+hall_of, tracker, measure, network_of, ideal, catalogue = (
     import_module(PLACE + name) for name in ("hall", "tracker", "measure", "network", "ideal", "laws.catalogue")
 )
 
@@ -28,7 +28,9 @@ def elevation_drift(network: Any) -> Any:
 
 
 @pytest.mark.parametrize(("size", "share"), [(1.0, 1.0), (0.5, 0.75), (0.0, 0.0), (2.0, 0.0)])
-def test_share_of_a_shift_is_one_less_the_square_of_what_is_missing(network: Any, size: float, share: float) -> None:
+def test_explained_fraction_of_a_shift_is_quadratic_in_the_missing_part(
+    network: Any, size: float, share: float
+) -> None:
     truth = elevation_drift(network)
     model = replace(measure.Model.nothing(network), change=size * truth.reading)
     assert model.explained_fraction(network, truth) == pytest.approx(share, abs=1e-4)
@@ -72,8 +74,8 @@ def test_a_model_is_read_as_it_was_written(network: Any, tmp_path: Path) -> None
 
 def test_the_ideal_observer_finds_an_easy_law(network: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ideal, "DRAWS", 20)
-    monkeypatch.setattr(ideal, "MORE", 20)
-    laws = {name: known.KNOWN[name] for name in ("index-drift", "range-step", "azimuth-drift")}
+    monkeypatch.setattr(ideal, "FURTHER_DRAWS", 20)
+    laws = {name: catalogue.KNOWN[name] for name in ("index-drift", "range-step", "azimuth-drift")}
     truth = elevation_drift(network)
     size = np.sqrt(600.0 / network.strengths(truth).sum())
     noise = np.random.default_rng(1).standard_normal(len(network.design))

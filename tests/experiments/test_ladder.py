@@ -22,10 +22,10 @@ def hall_of(number: int) -> hall.Hall:
 
 
 def rung_of(number: int, name: str, rung: int) -> tuple[hall.Observations, hall.Cause]:
-    own = hall_of(number)
-    for row, cause, noise in ladder.rungs_of(own, SETTINGS):
+    true_hall = hall_of(number)
+    for row, cause, noise in ladder.rungs_of(true_hall, SETTINGS):
         if (row["cause"], row.get("rung")) == (name, rung):
-            return hall.Observations.of(own, cause, noise), cause
+            return hall.Observations.of(true_hall, cause, noise), cause
     raise LookupError(name)
 
 
@@ -40,17 +40,17 @@ def test_recordings_without_a_cause_fit_the_declared_noise(number: int, tmp_path
 
 @pytest.mark.parametrize("number", range(len(SETTINGS["hall"])))
 def test_every_cause_changes_something_and_the_first_rung_has_its_noncentrality(number: int) -> None:
-    own, small = hall_of(number), 1e-3
-    for row, cause, noise in ladder.rungs_of(own, SETTINGS):
+    true_hall, small = hall_of(number), 1e-3
+    for row, cause, noise in ladder.rungs_of(true_hall, SETTINGS):
         if cause is None:
             continue
-        clean, changed = hall.Observations.of(own, None, noise), hall.Observations.of(own, cause, noise)
+        clean, changed = hall.Observations.of(true_hall, None, noise), hall.Observations.of(true_hall, cause, noise)
         same = np.array_equal(clean.readings, changed.readings) and clean.length == changed.length
         same &= all(np.array_equal(clean.control[k], changed.control[k]) for k in clean.control)
         assert not same or not np.array_equal(clean.target, changed.target) or changed.noise_factor != 1.0
         if row["unit"] and row["rung"] == 1:
             tiny = hall.Cause(cause.name, small * cause.size, cause.station, cause.target)
-            strength = peers.noncentrality(own, hall.Observations.of(own, tiny, noisy=False)) / small**2
+            strength = peers.noncentrality(true_hall, hall.Observations.of(true_hall, tiny, noisy=False)) / small**2
             assert strength == pytest.approx(SETTINGS["noncentrality"], rel=0.02)
 
 

@@ -57,12 +57,12 @@ def test_results_are_small(history: Path) -> None:
 
 
 def test_committed_results_are_refused_where_sources_are_not_committed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(common, "changes", lambda: " M ltsim/core/units.py")
+    monkeypatch.setattr(common, "uncommitted_changes", lambda: " M ltsim/core/units.py")
     with pytest.raises(SystemExit, match=r"units\.py.*--out"):
         driver.run_experiment("07", [], 2, 1, None)
     with pytest.raises(SystemExit, match="--out"):
         driver.run_all(common.RESULTS, 1)
-    common.refuse_changes(Path("/elsewhere/results"))
+    common.require_committed_sources(Path("/elsewhere/results"))
 
 
 @pytest.mark.long
@@ -78,10 +78,10 @@ def test_all_goes_on_where_it_was_broken_off(
     monkeypatch.setattr(driver, "MARKS", tmp_path / "marks")
     driver.run_all(tmp_path / "out", 1)
     first = capsys.readouterr().out
-    assert "07, about 1 min: took" in first and "11, about 2 min: left out" in first
+    assert "07, about 1 min: took" in first and "11, about 2 min: skipped" in first
     assert json.loads(next((tmp_path / "out").glob("07_*/manifest.json")).read_text())["trials"] == 2
     driver.run_all(tmp_path / "out", 1)
-    assert "07, about 1 min: made by this commit already" in capsys.readouterr().out
+    assert "07, about 1 min: skipped" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("name", [folder.name for folder in driver.FOLDERS.values()])

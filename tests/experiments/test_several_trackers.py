@@ -32,11 +32,13 @@ def test_the_constant_that_is_off_stands_out_and_lies_in_its_interval(
 ) -> None:
     recording, truth = lt.simulate(scenario_of(off=off, errors={name: size}, faces=faces), seed=11)
     assert len(recording.stations) == 100
-    found = lt.calibrate(recording)
-    values, sigma = found.estimates.ravel(), found.sigma.ravel()
-    outstanding = [flat for flat, z in zip(found.instrument_parameter_names, values / sigma, strict=True) if abs(z) > 5]
+    calibration = lt.calibrate(recording)
+    values, sigma = calibration.estimates.ravel(), calibration.sigma.ravel()
+    outstanding = [
+        flat for flat, z in zip(calibration.instrument_parameter_names, values / sigma, strict=True) if abs(z) > 5
+    ]
     assert outstanding == [f"{name}@{off}"]
-    at = found.instrument_parameter_names.index(f"{name}@{off}")
+    at = calibration.instrument_parameter_names.index(f"{name}@{off}")
     assert abs(values[at] - truth.instrument_values[f"{name}@{off}"]) < 1.96 * sigma[at]
 
 

@@ -14,7 +14,7 @@ from tests.planning.fixtures import survey
 sensitivity = import_module("experiments.14_what_drives_improvement.run").sensitivity
 
 
-class Known(DisagreementPredictor):
+class AnalyticPredictor(DisagreementPredictor):
     """A predictor whose criteria are a sum of logarithms: variances 1, 4 and an interaction of 1 on the last output."""
 
     def __init__(self) -> None:
@@ -25,10 +25,10 @@ class Known(DisagreementPredictor):
         return ExpectedDisagreement(np.ones_like(a), 1 - a / 100, np.ones_like(a), a + 2 * b + a * b)
 
 
-def test_indices_of_a_case_with_known_answer() -> None:
+def test_indices_of_a_case_with_an_analytic_answer() -> None:
     """a and b have mean 0 and variance 1: shares 1/6, 4/6 and 1/6 for both together."""
-    found = sensitivity(Known(), {"a": (np.exp(-1), np.e), "b": (np.exp(-1), np.e)}, samples=1024, seed=0)
-    by = {(row["output"], row["input"]): row for row in found}
+    indices = sensitivity(AnalyticPredictor(), {"a": (np.exp(-1), np.e), "b": (np.exp(-1), np.e)}, samples=1024, seed=0)
+    by = {(row["output"], row["input"]): row for row in indices}
     assert by["distance improvement", "a"]["first"] == pytest.approx(1.0, abs=0.04)
     assert by["distance improvement", "b"]["total"] == pytest.approx(0.0, abs=1e-6)
     a, b = by["coordinate after", "a"], by["coordinate after", "b"]
@@ -39,16 +39,16 @@ def test_indices_of_a_case_with_known_answer() -> None:
     assert a["first_low"] < 1 / 6 < a["first_high"]
 
 
-def test_what_is_left_after_calibration_is_noise_and_not_the_instrument() -> None:
+def test_disagreement_after_calibration_is_noise_and_not_the_instrument() -> None:
     predictor = DisagreementPredictor.from_expected_precision(ExpectedPrecision.from_survey(survey((1, 2), 2)))
     ranges = dict.fromkeys(("range noise", "angle noise", "angle errors"), (0.5, 2.0))
-    found = sensitivity(predictor, ranges, samples=128, seed=1)
-    after = {row["input"]: row["total"] for row in found if row["output"] == "distance after"}
+    indices = sensitivity(predictor, ranges, samples=128, seed=1)
+    after = {row["input"]: row["total"] for row in indices if row["output"] == "distance after"}
     assert after["angle errors"] < 0.05 < after["angle noise"]
-    improved = {row["input"]: row["total"] for row in found if row["output"] == "distance improvement"}
+    improved = {row["input"]: row["total"] for row in indices if row["output"] == "distance improvement"}
     assert improved["angle errors"] > 0.2
     again = sensitivity(predictor, ranges, samples=128, seed=1)
-    assert [row["total"] for row in again] == [row["total"] for row in found]
+    assert [row["total"] for row in again] == [row["total"] for row in indices]
 
 
 def test_a_group_of_errors_that_does_not_exist_is_refused() -> None:

@@ -12,7 +12,7 @@ seeds = st.integers(0, 10_000)
 
 
 @given(seeds, st.integers(3, 12))
-def test_a_rigid_move_is_found_again(seed: int, count: int) -> None:
+def test_a_rigid_motion_is_recovered(seed: int, count: int) -> None:
     rng = random_stream(seed, "alignment")
     source = rng.uniform(-5, 5, (count, 3))
     turn, shift = matrix_from_rotation_vector(rng.uniform(-3, 3, 3)), rng.uniform(-9, 9, 3)
@@ -58,7 +58,7 @@ def test_two_points_are_too_few() -> None:
         align_rigidly(np.eye(3)[:2], np.eye(3)[:2])
 
 
-def test_points_on_one_line_leave_a_turn_open() -> None:
+def test_points_on_a_line_leave_a_rotation_undetermined() -> None:
     line = np.outer([1.0, 2.0, 3.0, 5.0], [1.0, 1.0, 0.5])
     with pytest.raises(NetworkError, match="not on one line"):
         align_rigidly(line, line)

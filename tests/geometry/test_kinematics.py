@@ -107,10 +107,10 @@ def test_without_errors_a_chain_is_polar_coordinates(name: str, seed: int) -> No
 def test_a_chain_is_the_product_of_its_printed_matrices(name: str, seed: int) -> None:
     chain, raw = CHAINS[name], readings(seed)
     amounts = errors(chain, seed)
-    one_by_one = [
+    per_point = [
         TWINS[name](raw[i], {key: float(amount[i]) for key, amount in amounts.items()}) for i in range(len(raw))
     ]
-    np.testing.assert_allclose(points_from_raw_readings(chain, raw, amounts), one_by_one, atol=1e-13)
+    np.testing.assert_allclose(points_from_raw_readings(chain, raw, amounts), per_point, atol=1e-13)
 
 
 @pytest.mark.long

@@ -42,9 +42,9 @@ def test_the_back_face_turns_half_round_and_over() -> None:
 
 
 def test_the_axes_are_where_the_frame_puts_them() -> None:
-    forward, left, up = np.eye(3)
+    forward, lateral, up = np.eye(3)
     np.testing.assert_allclose(
-        to_polar(np.array([forward, left, up])), [[1, 0, 0], [1, np.pi / 2, 0], [1, 0, np.pi / 2]]
+        to_polar(np.array([forward, lateral, up])), [[1, 0, 0], [1, np.pi / 2, 0], [1, 0, np.pi / 2]]
     )
 
 
@@ -56,12 +56,12 @@ def test_wrap_keeps_the_direction(angle: float) -> None:
 
 
 @given(many)
-def test_beam_left_up_are_a_right_handed_frame(rows: list[tuple[float, float, float, int]]) -> None:
+def test_beam_lateral_and_up_are_a_right_handed_frame(rows: list[tuple[float, float, float, int]]) -> None:
     polar, _ = split(rows)
-    beam, left, up = beam_frame_axes(polar[:, 1], polar[:, 2])
+    beam, lateral, up = beam_frame_axes(polar[:, 1], polar[:, 2])
     np.testing.assert_allclose(beam * polar[:, :1], from_polar(polar), atol=1e-12)
-    np.testing.assert_allclose(np.cross(beam, left), up, atol=1e-14)
-    np.testing.assert_allclose(np.linalg.norm(left, axis=1), 1.0, atol=1e-14)
+    np.testing.assert_allclose(np.cross(beam, lateral), up, atol=1e-14)
+    np.testing.assert_allclose(np.linalg.norm(lateral, axis=1), 1.0, atol=1e-14)
 
 
 @given(many)

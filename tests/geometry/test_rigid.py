@@ -18,7 +18,7 @@ def test_rigid_motion_is_the_first_order_of_a_turn_and_a_shift() -> None:
 
 
 POINTS = np.array([[0, 0, 0], [0, 0, 2], [0, 0, 5], [3, 0, 1], [1e-9, 0, 3], [0.01, 0, 4]], dtype=float) + 1e3
-SEEN = {
+IS_DETERMINED = {
     (): (False, False),
     (0, 3): (False, True),
     (0, 1): (False, False),  # above one another
@@ -29,11 +29,11 @@ SEEN = {
 }
 
 
-@pytest.mark.parametrize("which", SEEN)
+@pytest.mark.parametrize("which", IS_DETERMINED)
 @pytest.mark.parametrize("up", [np.array([0.0, 0.0, 1.0]), np.array([0.6, 0.0, 0.8])])
-def test_three_targets_off_one_line_hold_a_station_and_two_a_levelled_one(which: tuple[int, ...], up) -> None:
-    seen = np.zeros((2, 6), dtype=bool)
-    seen[:, list(which)] = True
+def test_three_targets_off_a_line_determine_a_station_and_two_a_levelled_station(which: tuple[int, ...], up) -> None:
+    is_visible = np.zeros((2, 6), dtype=bool)
+    is_visible[:, list(which)] = True
     turn = matrix_from_rotation_vector(np.arctan2(up[0], up[2]) * np.array([0.0, 1.0, 0.0]))
-    held = determines_pose(POINTS @ turn.T, seen, np.array([[np.nan] * 3, up]))
-    assert tuple(held) == SEEN[which]
+    held = determines_pose(POINTS @ turn.T, is_visible, np.array([[np.nan] * 3, up]))
+    assert tuple(held) == IS_DETERMINED[which]

@@ -37,7 +37,7 @@ def test_a_small_rotation_is_the_cross_matrix(vector: Floats) -> None:
 
 
 @given(st.floats(-7, 7))
-def test_about_z_is_counter_clockwise_seen_from_above(angle: float) -> None:
+def test_about_z_is_counter_clockwise_from_above(angle: float) -> None:
     np.testing.assert_allclose(
         rotation_about_z(angle), matrix_from_rotation_vector(np.array([0.0, 0.0, angle])), atol=1e-14
     )

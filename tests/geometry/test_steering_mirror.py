@@ -20,11 +20,11 @@ from tests.networks import network
 MIRROR = steering_mirror_construction()
 
 
-def values(**stated: float) -> Floats:
-    found = np.zeros(MIRROR.n_parameters)
-    for name, value in stated.items():
-        found[MIRROR.parameter_index(name.replace("_", "-"))] = value
-    return found
+def values(**nominal: float) -> Floats:
+    parameters = np.zeros(MIRROR.n_parameters)
+    for name, value in nominal.items():
+        parameters[MIRROR.parameter_index(name.replace("_", "-"))] = value
+    return parameters
 
 
 def reflected(raw: Floats, e: dict[str, float]) -> Floats:
@@ -55,9 +55,9 @@ def test_the_chain_is_a_ray_reflected_at_a_plane() -> None:
     names = [n for n in MIRROR.parameter_names if not n.startswith(("azimuth", "elevation", "range-scale"))]
     for seed in range(4):
         drawn = dict(zip(names, np.random.default_rng(seed).normal(0.0, 1e-2, len(names)), strict=True))
-        stated = values(**{name.replace("-", "_"): value for name, value in drawn.items()})
+        parameters = values(**{name.replace("-", "_"): value for name, value in drawn.items()})
         expected = [reflected(row, drawn) for row in raw]
-        np.testing.assert_allclose(MIRROR.points_from_readings(raw, stated), expected, atol=1e-13)
+        np.testing.assert_allclose(MIRROR.points_from_readings(raw, parameters), expected, atol=1e-13)
 
 
 def test_an_ideal_mirror_reads_range_azimuth_and_elevation() -> None:
@@ -110,8 +110,10 @@ def test_two_faces_tell_what_turns_with_the_head() -> None:
     """The base and the mirror's tilt move a point alike on both faces; the transit axis does not."""
     polar = np.array([[4.0, 0.7, 0.4]])
     for name, same in (("beam-tilt-x", True), ("beam-y", True), ("mirror-tilt", True), ("transit-tilt", False)):
-        stated = values(**{name.replace("-", "_"): 1e-5})
-        front, back = (MIRROR.points_from_readings(swap_front_and_raw(polar, np.array([f])), stated) for f in (1, 2))
+        parameters = values(**{name.replace("-", "_"): 1e-5})
+        front, back = (
+            MIRROR.points_from_readings(swap_front_and_raw(polar, np.array([f])), parameters) for f in (1, 2)
+        )
         assert (np.abs(front - back).max() < 1e-9) == same, name
 
 
@@ -120,18 +122,18 @@ def test_injected_misalignments_come_back_from_a_recording_that_states_its_mirro
     tracker = scenario.instrument.model_copy(update={"construction": "steering-mirror", "errors": {"draw": True}})
     recording, truth = simulate(scenario.model_copy(update={"instrument": tracker}), 4)
     assert recording.setup.instrument.construction == "steering-mirror"
-    found = calibrate_network(recording, recommend_measurements=False)
-    assert found.construction.name == "steering-mirror"
-    true = np.array([truth.instrument_values[name] for name in found.construction.parameter_names])
-    off = found.estimates[0] - true
-    z2 = float(off @ np.linalg.solve(found.covariance, off))
+    calibration = calibrate_network(recording, recommend_measurements=False)
+    assert calibration.construction.name == "steering-mirror"
+    true = np.array([truth.instrument_values[name] for name in calibration.construction.parameter_names])
+    off = calibration.estimates[0] - true
+    z2 = float(off @ np.linalg.solve(calibration.covariance, off))
     assert 5.6 < z2 < 46.8  # 21 degrees of freedom, 99.9 % of samples
-    assert found.fit.p_value is not None and found.fit.p_value > 1e-3
+    assert calibration.fit.p_value is not None and calibration.fit.p_value > 1e-3
     wrong = calibrate_network(recording, make_construction("misalignment"), recommend_measurements=False)
-    assert wrong.fit.chi2 > found.fit.chi2 + 100
+    assert wrong.fit.chi2 > calibration.fit.chi2 + 100
 
 
-def test_two_designs_in_one_network_are_not_mixed_silently() -> None:
+def test_two_constructions_in_a_network_are_not_mixed_silently() -> None:
     recording, _ = network(stations=3)
     mirror, head = Instrument(construction="steering-mirror"), Instrument()
     stations = {name: recording.station_setup(name) for name in recording.stations}

@@ -38,33 +38,33 @@ def crown(epoch: int) -> EpochCoordinates:
     return EpochCoordinates(f"epoch {epoch + 1}", POINTS, "xy", points, covariance)
 
 
-def test_each_point_alone_is_tested_by_its_own_blocks() -> None:
+def test_each_point_is_tested_with_its_covariance_blocks() -> None:
     first, second = crown(0), crown(1)
-    found = compare_coordinates(first, second)
+    comparison = compare_coordinates(first, second)
     shift = (second.points - first.points)[:, :2]
     blocks = [np.ix_([2 * i, 2 * i + 1], [2 * i, 2 * i + 1]) for i in range(5)]
-    own = [
+    chi2 = [
         d @ np.linalg.solve((first.covariance + second.covariance)[b], d) for d, b in zip(shift, blocks, strict=True)
     ]
-    np.testing.assert_allclose([d.point_chi2 for d in found.displacements], own, rtol=1e-9)
-    assert not found.moved_points
-    assert found.dof == 10
+    np.testing.assert_allclose([d.point_chi2 for d in comparison.displacements], chi2, rtol=1e-9)
+    assert not comparison.moved_points
+    assert comparison.dof == 10
 
 
-def written(found: EpochCoordinates, path: Path) -> Path:
+def written(epoch: EpochCoordinates, path: Path) -> Path:
     """The list as CSV with its covariance beside it."""
-    header = ["target", *(f"{axis}_mm" for axis in found.axes)]
+    header = ["target", *(f"{axis}_mm" for axis in epoch.axes)]
     rows = [
-        [name, *(repr(1e3 * float(p[k])) for k in found.axis_indices)]
-        for name, p in zip(found.names, found.points, strict=True)
+        [name, *(repr(1e3 * float(p[k])) for k in epoch.axis_indices)]
+        for name, p in zip(epoch.names, epoch.points, strict=True)
     ]
     path.write_text("\n".join(",".join(row) for row in [header, *rows]) + "\n")
-    coordinates = [f"{name}.{axis}" for name in found.names for axis in found.axes]
+    coordinates = [f"{name}.{axis}" for name in epoch.names for axis in epoch.axes]
     matrix = [
-        [name, *(repr(1e6 * float(x)) for x in row)] for name, row in zip(coordinates, found.covariance, strict=True)
+        [name, *(repr(1e6 * float(x)) for x in row)] for name, row in zip(coordinates, epoch.covariance, strict=True)
     ]
-    beside = [["covariance_mm2", *coordinates], *matrix]
-    path.with_suffix(".covariance.csv").write_text("\n".join(",".join(row) for row in beside) + "\n")
+    lines = [["covariance_mm2", *coordinates], *matrix]
+    path.with_suffix(".covariance.csv").write_text("\n".join(",".join(row) for row in lines) + "\n")
     return path
 
 
@@ -73,8 +73,8 @@ def test_the_verb_compares_lists(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert run(["compare", *paths, "--out", str(tmp_path / "out")]) == 0
     assert "No point moved" in capsys.readouterr().out
     content = read_result(tmp_path / "out", Comparison)
-    own = [d.point_chi2 or np.nan for d in compare_coordinates(crown(0), crown(1)).displacements]
-    np.testing.assert_allclose([d.point_chi2 or np.nan for d in content.displacements], own, rtol=1e-6)
+    chi2_values = [d.point_chi2 or np.nan for d in compare_coordinates(crown(0), crown(1)).displacements]
+    np.testing.assert_allclose([d.point_chi2 or np.nan for d in content.displacements], chi2_values, rtol=1e-6)
     assert run(["report", str(tmp_path / "out"), "--quiet"]) == 0
     assert not lt.compare(*paths).moved_points
     assert run(["compare", *paths, "--robust"]) == 2
@@ -115,12 +115,12 @@ def test_free_networks_are_compared_whatever_their_frames(axes: str) -> None:
     """P-values of networks that did not move are uniform; a point that did is named, and no other."""
     turned = len(axes) > 1
     pairs = [(network(axes, 2 * i), network(axes, 2 * i + 1, turned=turned)) for i in range(40)]
-    found = [compare_coordinates(*pair, has_free_motions=True) for pair in pairs]
-    assert found[0].dof == {"xyz": 24, "xy": 17, "z": 9}[axes]
-    assert 0.35 < np.mean([c.p_value for c in found]) < 0.65
-    assert sum(bool(c.moved_points) for c in found) <= 6
+    comparisons = [compare_coordinates(*pair, has_free_motions=True) for pair in pairs]
+    assert comparisons[0].dof == {"xyz": 24, "xy": 17, "z": 9}[axes]
+    assert 0.35 < np.mean([c.p_value for c in comparisons]) < 0.65
+    assert sum(bool(c.moved_points) for c in comparisons) <= 6
     shift = np.zeros((10, 3))
-    shift[4, "xyz".index(axes[0])] = 2e-6 * found[0].displacements[4].detectable_um[1]
+    shift[4, "xyz".index(axes[0])] = 2e-6 * comparisons[0].displacements[4].detectable_um[1]
     moved = compare_coordinates(network(axes, 0), network(axes, 1, shift, turned=turned), has_free_motions=True)
     assert moved.moved_points == ("P4",)
     assert moved.displacements[0].point_chi2 is None
@@ -141,7 +141,7 @@ def test_a_covariance_without_a_datum_is_recognised(axes: str) -> None:
     assert not compare_coordinates(crown(0), crown(1)).notes
 
 
-def test_a_datum_of_some_points_leaves_the_same_motions_open() -> None:
+def test_a_datum_of_several_points_leaves_the_same_motions_undetermined() -> None:
     """Constraints on three of ten points: the covariance has its rank defect elsewhere."""
     whole = network("xyz", 0)
     motions = rigid_motion_jacobian(whole.points)
@@ -170,8 +170,8 @@ def test_numbers_of_rows_are_no_names(tmp_path: Path) -> None:
         rows = [f"{n},R{k},{1000 * k},{500 * k * k},{i * 0.01},0.02" for k, n in enumerate(numbers)]
         text = "\n".join(["ID,Feature,X [mm],Y [mm],Z [mm],sigma_mm", *rows])
         (tmp_path / f"{i}.csv").write_text(text + "\n")
-    found = lt.compare(tmp_path / "0.csv", tmp_path / "1.csv")
-    assert [d.target for d in found.displacements] == ["R0", "R1", "R2"] and not found.moved_points
+    comparison = lt.compare(tmp_path / "0.csv", tmp_path / "1.csv")
+    assert [d.target for d in comparison.displacements] == ["R0", "R1", "R2"] and not comparison.moved_points
 
 
 def test_what_adjust_writes_is_what_compare_and_uncertainty_read(tmp_path: Path) -> None:
@@ -180,10 +180,10 @@ def test_what_adjust_writes_is_what_compare_and_uncertainty_read(tmp_path: Path)
     for i, recording in enumerate(recordings):
         lt.write(lt.adjust(recording), tmp_path / f"{i}")
     lists = [read_coordinates(tmp_path / f"{i}" / "targets.csv") for i in (0, 1)]
-    assert not any("has no covariance" in note for one in lists for note in one.notes)
-    read, known = lt.compare(*lists, free=True), lt.compare(*recordings, calibrate=False)
-    assert read.p_value == pytest.approx(known.p_value, abs=1e-4)
-    np.testing.assert_allclose(read.displacements[3].sigma_um, known.displacements[3].sigma_um, rtol=1e-3)
+    assert not any("has no covariance" in note for entry in lists for note in entry.notes)
+    read, comparison = lt.compare(*lists, free=True), lt.compare(*recordings, calibrate=False)
+    assert read.p_value == pytest.approx(comparison.p_value, abs=1e-4)
+    np.testing.assert_allclose(read.displacements[3].sigma_um, comparison.displacements[3].sigma_um, rtol=1e-3)
     names = list(recordings[0].targets[:2])
     task = {"task": [{"name": "length", "kind": "distance", "targets": names}], "calibrate": False}
     wanted = lt.uncertainty(recordings[0], task).results[0]
@@ -213,10 +213,10 @@ GAMA = """<?xml version="1.0"?>
 def test_results_of_gama_are_read(tmp_path: Path) -> None:
     path = tmp_path / "one.xml"
     path.write_text(GAMA)
-    found = read_coordinates(path)
-    assert (found.title, found.names, found.axes) == ("a levelled loop", ("B", "C"), "z")
-    np.testing.assert_allclose(found.points[:, 2], [101.2345, 99.5])
-    np.testing.assert_allclose(found.covariance, [[1e-6, 0.25e-6], [0.25e-6, 2e-6]])
+    coordinates = read_coordinates(path)
+    assert (coordinates.title, coordinates.names, coordinates.axes) == ("a levelled loop", ("B", "C"), "z")
+    np.testing.assert_allclose(coordinates.points[:, 2], [101.2345, 99.5])
+    np.testing.assert_allclose(coordinates.covariance, [[1e-6, 0.25e-6], [0.25e-6, 2e-6]])
     path.write_text(GAMA.replace("<band>1</band>", "<band>2</band>"))
     with pytest.raises(RecordError, match="do not match dim and band"):
         read_coordinates(path)
@@ -225,7 +225,7 @@ def test_results_of_gama_are_read(tmp_path: Path) -> None:
         read_coordinates(path)
 
 
-def test_what_cannot_be_compared_is_said(tmp_path: Path) -> None:
+def test_incomparable_epochs_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "points.csv"
     path.write_text("target,x_mm,y_mm\nA,1,2\nB,3,4\n")
     with pytest.raises(RecordError, match="the coordinates have no standard deviations"):
@@ -297,7 +297,7 @@ def test_points_that_grew_are_in_the_same_unit(tmp_path: Path) -> None:
     assert lt.compare(first, point_list(tmp_path / "b.csv", NAMES, 1.05 * PLACES)).moved_points
 
 
-def test_points_of_one_list_only_are_named(tmp_path: Path) -> None:
+def test_points_of_a_single_list_are_named(tmp_path: Path) -> None:
     first = point_list(tmp_path / "a.csv", NAMES, PLACES)
     second = point_list(tmp_path / "b.csv", [*NAMES[1:], "N"], PLACES[[1, 2, 3, 4, 5, 0]])
     notes = lt.compare(first, second).notes
@@ -310,20 +310,20 @@ def test_common_axes_of_two_lists_are_compared(tmp_path: Path) -> None:
     first = point_list(tmp_path / "a.csv", NAMES, PLACES)
     moved = PLACES + np.outer(np.arange(6) == 3, [0.5, 0, 9])
     plan = point_list(tmp_path / "b.csv", NAMES, moved[:, :2], "target,x_mm,y_mm,sigma_mm")
-    found = lt.compare(first, plan)
-    assert found.moved_points == ("D",)
-    assert "the first list has the axes xyz, the second xy: only xy are compared" in found.notes
+    comparison = lt.compare(first, plan)
+    assert comparison.moved_points == ("D",)
+    assert "the first list has the axes xyz, the second xy: only xy are compared" in comparison.notes
     height = point_list(tmp_path / "c.csv", NAMES, moved[:, 2:], "target,z_mm,sigma_mm")
     with pytest.raises(ModelError, match="none is in both"):
         lt.compare(plan, height)
 
 
-def test_points_that_define_the_frame_are_left_out(tmp_path: Path) -> None:
+def test_points_that_define_the_frame_are_excluded(tmp_path: Path) -> None:
     rows = [",".join([n, *(f"{c:.4f}" for c in p), str(0.02 * (n != "A"))]) for n, p in zip(NAMES, PLACES, strict=True)]
     (tmp_path / "a.csv").write_text("\n".join(["target,x_mm,y_mm,z_mm,sigma_mm", *rows]) + "\n")
     first = read_coordinates(tmp_path / "a.csv")
     assert first.names == NAMES[1:]
     assert "points that define the frame, with the variance 0, are not used: A" in first.notes
     length = {"name": "length", "kind": "distance", "targets": ["A", "B"]}
-    found = lt.uncertainty(tmp_path / "a.csv", {"task": [length], "monte_carlo": {"digits": 1}}).to_dataframe()
-    assert found["u"][0] == pytest.approx(0.02, rel=1e-6)
+    table = lt.uncertainty(tmp_path / "a.csv", {"task": [length], "monte_carlo": {"digits": 1}}).to_dataframe()
+    assert table["u"][0] == pytest.approx(0.02, rel=1e-6)

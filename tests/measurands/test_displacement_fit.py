@@ -46,11 +46,11 @@ def test_displacement_of_each_point(moved: tuple[int, ...], n_axes: int, n_motio
     for point in range(9):
         others = [p for p in moved if p != point]
         values, covariance, squares = fitted(data, [*others, point])
-        found = fit.displacement(point)
-        assert found[0] == pytest.approx(values[-n_axes:], rel=1e-7)
-        assert found[1] == pytest.approx(covariance[-n_axes:, -n_axes:], rel=1e-7)
+        displacement = fit.displacement(point)
+        assert displacement[0] == pytest.approx(values[-n_axes:], rel=1e-7)
+        assert displacement[1] == pytest.approx(covariance[-n_axes:, -n_axes:], rel=1e-7)
         if len(values) <= len(data.differences):
-            assert found[2] == pytest.approx(fitted(data, others)[2] - squares, rel=1e-7, abs=1e-9)
+            assert displacement[2] == pytest.approx(fitted(data, others)[2] - squares, rel=1e-7, abs=1e-9)
 
 
 @pytest.mark.parametrize("n_motions", [0, 6])

@@ -34,21 +34,21 @@ def recorded(seed: int, shift: tuple[str, tuple[float, float, float]] | None = N
     if shift is None:
         return recording
     clean, _ = network(values=ERRORS)
-    found = adjust(clean, misalignment_construction(), start_state=truth.state)
+    adjustment = adjust(clean, misalignment_construction(), start_state=truth.state)
     points = truth.state.target_points.copy()
     points[recording.targets.index(shift[0])] += shift[1]
     moved = type(truth.state)(
         truth.state.station_positions, truth.state.station_rotations, points, truth.state.instrument_parameters
     )
-    model = found.problem.model
+    model = adjustment.problem.model
     return recording.with_readings(recording.readings + model.predict(moved) - model.predict(truth.state))
 
 
 @pytest.mark.long
-def test_no_motion_is_told_where_there_is_none() -> None:
-    found = [compare_adjustments(epoch(2 * i + 1), epoch(2 * i + 2), same_instrument=True) for i in range(12)]
-    assert sum(bool(c.moved_points) for c in found) <= 2
-    assert 0.2 < np.mean([c.p_value for c in found]) < 0.8  # uniform: 0.5 +- 0.08
+def test_no_motion_is_reported_without_a_motion() -> None:
+    comparisons = [compare_adjustments(epoch(2 * i + 1), epoch(2 * i + 2), same_instrument=True) for i in range(12)]
+    assert sum(bool(c.moved_points) for c in comparisons) <= 2
+    assert 0.2 < np.mean([c.p_value for c in comparisons]) < 0.8  # uniform: 0.5 +- 0.08
 
 
 def test_a_point_that_moved_is_named_and_no_other() -> None:
@@ -57,16 +57,16 @@ def test_a_point_that_moved_is_named_and_no_other() -> None:
     size = 1.5e-6 * plain.displacements[5].detectable_um[1]
     direction = np.array([1.0, -2.0, 1.0]) / np.sqrt(6.0)
     shift = (size * direction[0], size * direction[1], size * direction[2])
-    found = compare_adjustments(first, epoch(2, ("T06", shift)), same_instrument=True)
-    assert found.moved_points == ("T06",)
-    told = found.displacements[5]
-    gap = told.displacement_um - 1e6 * np.array(shift)
-    assert gap @ np.linalg.solve(told.covariance_um2, gap) < 16.3  # 99.9 % of three directions
-    assert found.p_value_without_moved_points > 0.001
-    assert "T06" in found.sentence
+    comparison = compare_adjustments(first, epoch(2, ("T06", shift)), same_instrument=True)
+    assert comparison.moved_points == ("T06",)
+    displacement = comparison.displacements[5]
+    gap = displacement.displacement_um - 1e6 * np.array(shift)
+    assert gap @ np.linalg.solve(displacement.covariance_um2, gap) < 16.3  # 99.9 % of three directions
+    assert comparison.p_value_without_moved_points > 0.001
+    assert "T06" in comparison.sentence
 
 
-def test_the_frame_may_be_held_by_stable_points_or_by_the_moved_one_too() -> None:
+def test_the_frame_may_be_defined_by_stable_points_or_by_all_points() -> None:
     """The frame of each epoch is the first station's; no point is special."""
     second = epoch(2, ("T06", (0.0, 0.0, 300e-6)))
     free = compare_adjustments(epoch(1), second, same_instrument=True)
@@ -77,11 +77,11 @@ def test_the_frame_may_be_held_by_stable_points_or_by_the_moved_one_too() -> Non
 
 def test_what_both_epochs_share_does_not_count() -> None:
     first, second = epoch(1), epoch(2)
-    apart, same = compare_adjustments(first, second), compare_adjustments(first, second, same_instrument=True)
-    assert same.statistic > apart.statistic
+    comparison, same = compare_adjustments(first, second), compare_adjustments(first, second, same_instrument=True)
+    assert same.statistic > comparison.statistic
     assert all(
         s.detectable_um[1] <= a.detectable_um[1] * (1 + 1e-9)
-        for s, a in zip(same.displacements, apart.displacements, strict=True)
+        for s, a in zip(same.displacements, comparison.displacements, strict=True)
     )
 
 
@@ -97,12 +97,12 @@ def test_a_scale_is_estimated_where_it_is_asked_for() -> None:
         }
     )
     grown = recording.replace(readings=readings, setup=recording.setup.model_copy(update={"gauge": gauge}))
-    found = compare_adjustments(epoch(1), adjust(grown, misalignment_construction()), with_scale=True)
-    assert found.scale_ppm == pytest.approx(20, abs=6)
-    assert not found.moved_points
+    comparison = compare_adjustments(epoch(1), adjust(grown, misalignment_construction()), with_scale=True)
+    assert comparison.scale_ppm == pytest.approx(20, abs=6)
+    assert not comparison.moved_points
 
 
-def test_too_little_in_common_is_said() -> None:
+def test_too_few_common_points_are_reported() -> None:
     first = epoch(1)
     with pytest.raises(LtsimError, match="common point"):
         compare_adjustments(first, epoch(2), stable_names=("T01", "T02", "T99"))
@@ -137,9 +137,9 @@ def test_lists_in_different_frames_are_recognised(tmp_path: Path, capsys: pytest
     moved[3, 0] += 0.4
     first = listed(tmp_path / "first.csv", POINTS)
     second = listed(tmp_path / "second.csv", moved @ turn.T + [100.0, 50.0, -20.0])
-    found = lt.compare(first, second)
-    assert found.has_common_rigid_motion and len(found.moved_points) == 7
-    assert "after alignment of the lists by free=True, 1 of 7 points moved: R3" in found.notes[-1]
+    comparison = lt.compare(first, second)
+    assert comparison.has_common_rigid_motion and len(comparison.moved_points) == 7
+    assert "after alignment of the lists by free=True, 1 of 7 points moved: R3" in comparison.notes[-1]
     run(["compare", str(first), str(second)])
     printed = capsys.readouterr().out
     assert "compare them with --free" in printed and "re-measure" not in printed
@@ -151,9 +151,9 @@ def test_lists_in_different_frames_are_recognised(tmp_path: Path, capsys: pytest
 def test_names_may_differ_in_case_blanks_and_zeros(tmp_path: Path) -> None:
     first = listed(tmp_path / "first.csv", POINTS)
     second = listed(tmp_path / "second.csv", POINTS, ["r0", "R 1", "R02", "R3", "r4", "R_5", "other"])
-    found = lt.compare(first, second)
-    assert [d.target for d in found.displacements] == ["R0", "R1", "R2", "R3", "R4", "R5"]
-    assert any("the same point: 'r0' and 'R0'" in note for note in found.notes)
+    comparison = lt.compare(first, second)
+    assert [d.target for d in comparison.displacements] == ["R0", "R1", "R2", "R3", "R4", "R5"]
+    assert any("the same point: 'r0' and 'R0'" in note for note in comparison.notes)
 
 
 def test_folders_of_results_are_lists_with_their_covariance(tmp_path: Path) -> None:

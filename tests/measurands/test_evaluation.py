@@ -77,15 +77,15 @@ def test_observed_sources_add_up_to_the_covariance_of_the_adjustment() -> None:
         PRIOR_SOURCE_NAME,
         REFERENCE_LENGTHS_SOURCE_NAME,
     }
-    own = np.sum([source.covariance for source in inputs.sources if source.name in in_adjustment], axis=0)
+    sum_of_sources = np.sum([source.covariance for source in inputs.sources if source.name in in_adjustment], axis=0)
     for i, name in enumerate(inputs.target_names):
         block = inputs.network_or_coordinates.target_covariances[
             inputs.network_or_coordinates.recording.targets.index(name)
         ]
-        assert np.allclose(own[3 * i : 3 * i + 3, 3 * i : 3 * i + 3], block, atol=1e-4 * block.max())
+        assert np.allclose(sum_of_sources[3 * i : 3 * i + 3, 3 * i : 3 * i + 3], block, atol=1e-4 * block.max())
 
 
-def test_errors_of_a_known_size_are_in_the_budget() -> None:
+def test_errors_of_a_given_size_are_in_the_budget() -> None:
     """Of a reflector in fixed nests, and of readings together: all sources add up to the covariance."""
     recording, _ = simulate("paper-workshop", seed=2)
     shared = 3e-3 * np.sin(np.arange(len(recording)))
@@ -100,8 +100,8 @@ def test_errors_of_a_known_size_are_in_the_budget() -> None:
         block = inputs.network_or_coordinates.target_covariances[
             inputs.network_or_coordinates.recording.targets.index(name)
         ]
-        own = inputs.covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
-        assert np.allclose(own, block, atol=5e-4 * block.max())  # the rows of the datum are no source
+        point_block = inputs.covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
+        assert np.allclose(point_block, block, atol=5e-4 * block.max())  # the rows of the datum are no source
     largest = max(np.trace(source.covariance) for source in inputs.sources if source.name in names)
     assert largest > 0.05 * np.trace(inputs.covariance)
 
@@ -109,34 +109,35 @@ def test_errors_of_a_known_size_are_in_the_budget() -> None:
 def test_a_datum_of_targets_reaches_the_points() -> None:
     recording, _ = network(seed=3)
     names = ("T01", "T05", "T12", "T20")
-    found = TaskInputs.from_recording(recording, tasks(datum=names, type_b=[]))
+    inputs = TaskInputs.from_recording(recording, tasks(datum=names, type_b=[]))
     expected = adjust(recording, misalignment_construction(), datum_names=names).target_covariances
-    for i, name in enumerate(found.target_names):
-        block = found.covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
+    for i, name in enumerate(inputs.target_names):
+        block = inputs.covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
         assert np.allclose(block, expected[recording.targets.index(name)], atol=1e-4 * block.max())
 
 
 def test_budgets_add_up_and_both_ways_agree() -> None:
-    found = evaluated()
-    total = np.sum(list(found.linear_uncertainty.variance_by_source.values()), axis=0)
-    assert np.allclose(total, np.diag(found.linear_uncertainty.covariance), rtol=1e-9)
-    regular = [output.unit == "mm" and "ness" not in output.name for _, output in found.outputs]
+    evaluation = evaluated()
+    total = np.sum(list(evaluation.linear_uncertainty.variance_by_source.values()), axis=0)
+    assert np.allclose(total, np.diag(evaluation.linear_uncertainty.covariance), rtol=1e-9)
+    regular = [output.unit == "mm" and "ness" not in output.name for _, output in evaluation.outputs]
     assert np.allclose(
-        (found.monte_carlo_uncertainty.standard_uncertainties / found.linear_uncertainty.standard_uncertainties)[
-            regular
-        ],
+        (
+            evaluation.monte_carlo_uncertainty.standard_uncertainties
+            / evaluation.linear_uncertainty.standard_uncertainties
+        )[regular],
         1.0,
         atol=0.03,
     )
-    assert found.nonlinearity_ratios[regular].max() < 0.05
+    assert evaluation.nonlinearity_ratios[regular].max() < 0.05
 
 
-def test_it_is_said_where_linear_propagation_fails() -> None:
+def test_failure_of_linear_propagation_is_reported() -> None:
     """The points of the bore lie on a circle but for their noise: roundness cannot be negative."""
-    found = evaluated()
-    roundness = [output.name for _, output in found.outputs].index("roundness")
-    assert not found.intervals_agree[roundness]
-    assert any("bore, roundness" in sentence for sentence in found.warnings)
+    evaluation = evaluated()
+    roundness = [output.name for _, output in evaluation.outputs].index("roundness")
+    assert not evaluation.intervals_agree[roundness]
+    assert any("bore, roundness" in sentence for sentence in evaluation.warnings)
 
 
 @pytest.mark.long
@@ -170,8 +171,8 @@ def test_spread_of_simulated_tasks_is_what_was_predicted_and_falls_by_the_budget
             at = [recording.targets.index(name) for name in ("T01", "T12")]
             lengths[weather_too].append(float(np.linalg.norm(points[at[1]] - points[at[0]])))
     # The standard deviation of 60 draws is known to 9 %; three of that.
-    for weather_too, told_of in lengths.items():
-        assert np.std(told_of, ddof=1) == pytest.approx(expected[weather_too], rel=0.28)
+    for weather_too, component in lengths.items():
+        assert np.std(component, ddof=1) == pytest.approx(expected[weather_too], rel=0.28)
 
 
 def test_the_tip_of_a_rod_is_worth_what_its_lever_says() -> None:
@@ -193,13 +194,17 @@ def test_long_ranges_have_the_air_in_their_budget() -> None:
     names = {"temperature of the air", "gradient of the air", "turbulence"}
     length = tasks(task=TASKS["task"][:1], type_b=[])
     assert not names & {source.name for source in TaskInputs.from_recording(near, length).sources}
-    found = evaluate_tasks(far, length)
-    assert names <= set(found.linear_uncertainty.variance_by_source)
-    assert "0.5 K along the beams" in found.warnings[0]
-    along = 0.5 * 0.95e-6 * found.linear_uncertainty.result_values[0]
-    assert 0.3 * along < np.sqrt(found.linear_uncertainty.variance_by_source["temperature of the air"][0]) < 3.0 * along
-    stated = TaskInputs.from_recording(far, tasks(task=TASKS["task"][:1], type_b=TASKS["type_b"][:1]))
-    assert {"gradient of the air", "turbulence"} == names & {source.name for source in stated.sources}
+    evaluation = evaluate_tasks(far, length)
+    assert names <= set(evaluation.linear_uncertainty.variance_by_source)
+    assert "0.5 K along the beams" in evaluation.warnings[0]
+    along = 0.5 * 0.95e-6 * evaluation.linear_uncertainty.result_values[0]
+    assert (
+        0.3 * along
+        < np.sqrt(evaluation.linear_uncertainty.variance_by_source["temperature of the air"][0])
+        < 3.0 * along
+    )
+    inputs = TaskInputs.from_recording(far, tasks(task=TASKS["task"][:1], type_b=TASKS["type_b"][:1]))
+    assert {"gradient of the air", "turbulence"} == names & {source.name for source in inputs.sources}
     calm = {"temperature_k": 0.0, "gradient_k_per_m": 0.0, "turbulence_um2_per_m3": 0.0}
     assert not names & {source.name for source in TaskInputs.from_recording(far, tasks(type_b=[], air=calm)).sources}
 
@@ -214,17 +219,19 @@ def test_published_distributions() -> None:
         source = UncertaintySource("inputs", "B", response, "rectangular")
         inputs = TaskInputs(cast(Adjustment, None), ("P",), np.zeros((1, 3)), np.zeros((0, 3)), (source,))
         linear = propagate(inputs, [measurand], thermal_expansion_of_part(None))
-        found = run_monte_carlo(inputs, [measurand], thermal_expansion_of_part(None), MonteCarloSettings(), linear)
-        assert found.standard_uncertainties[0] == pytest.approx(sigma, rel=1e-3)
-        assert found.symmetric_intervals[0] == pytest.approx([-half, half], abs=0.02)
-        assert found.n_trials == 20_000, "the sum is linear: its distribution is known without drawing"
+        monte_carlo = run_monte_carlo(
+            inputs, [measurand], thermal_expansion_of_part(None), MonteCarloSettings(), linear
+        )
+        assert monte_carlo.standard_uncertainties[0] == pytest.approx(sigma, rel=1e-3)
+        assert monte_carlo.symmetric_intervals[0] == pytest.approx([-half, half], abs=0.02)
+        assert monte_carlo.n_trials == 20_000, "the sum is linear: its distribution is known without drawing"
         expanded = {2.00: 3.92, 10.15: 19.9}[sigma]
         assert linear.expanded_uncertainty(0.95)[0] == pytest.approx(expanded, abs=0.05)
-    assert not found.intervals_agree(linear, 0.95)[0]
+    assert not monte_carlo.intervals_agree(linear, 0.95)[0]
 
 
 @pytest.mark.parametrize("digits", family([1, 2]))
-def test_a_normal_linear_task_is_never_told_otherwise_by_the_noise_of_trials(digits: int) -> None:
+def test_a_linear_task_is_never_reported_as_nonlinear_because_of_trial_noise(digits: int) -> None:
     """JCGM 101:2008, 8.2: compared with delta only when the trials' own error is a fifth of it; 100 seeds, no alarm."""
     measurand = Measurand(Task(name="place", kind="point", targets=("P",)), np.array([0]))
     response = random_stream(3, "response").normal(size=(3, 5))
@@ -233,15 +240,15 @@ def test_a_normal_linear_task_is_never_told_otherwise_by_the_noise_of_trials(dig
     )
     linear = propagate(inputs, [measurand], thermal_expansion_of_part(None))
     for seed in range(100):
-        found = run_monte_carlo(
+        monte_carlo = run_monte_carlo(
             inputs, [measurand], thermal_expansion_of_part(None), MonteCarloSettings(digits=digits, seed=seed), linear
         )
-        assert found.is_stable.all(), seed
-        assert np.all(5 * found.numerical_errors <= found.numerical_tolerances), seed
-        assert found.intervals_agree(linear, 0.95).all(), seed
+        assert monte_carlo.is_stable.all(), seed
+        assert np.all(5 * monte_carlo.numerical_errors <= monte_carlo.numerical_tolerances), seed
+        assert monte_carlo.intervals_agree(linear, 0.95).all(), seed
 
 
-def test_a_curved_task_is_told_and_its_interval_is_the_true_one() -> None:
+def test_a_nonlinear_task_is_reported_and_its_interval_is_the_true_interval() -> None:
     """The length of a vector whose place is known to a third of it: noncentral chi, found without bias."""
     points = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0]])
     measurand = Measurand.from_task(Task(name="length", kind="distance", targets=("A", "B")), ("A", "B"), points)
@@ -250,10 +257,10 @@ def test_a_curved_task_is_told_and_its_interval_is_the_true_one() -> None:
         cast(Adjustment, None), ("A", "B"), points, np.zeros((0, 6)), (UncertaintySource("in", "A", response),)
     )
     linear = propagate(inputs, [measurand], thermal_expansion_of_part(None))
-    found = run_monte_carlo(inputs, [measurand], thermal_expansion_of_part(None), MonteCarloSettings(), linear)
-    assert not found.intervals_agree(linear, 0.95)[0]
+    monte_carlo = run_monte_carlo(inputs, [measurand], thermal_expansion_of_part(None), MonteCarloSettings(), linear)
+    assert not monte_carlo.intervals_agree(linear, 0.95)[0]
     expected = np.sqrt(stats.ncx2.ppf([0.025, 0.975], 3, 9.0))
-    assert found.symmetric_intervals[0] == pytest.approx(expected, abs=2 * found.numerical_errors[0])
+    assert monte_carlo.symmetric_intervals[0] == pytest.approx(expected, abs=2 * monte_carlo.numerical_errors[0])
 
 
 def test_the_shortest_interval_of_a_skew_distribution_is_shorter() -> None:
@@ -352,7 +359,7 @@ digits = 1
 
 
 @pytest.mark.parametrize(("kind", "near"), [("angl", "; did you mean angle?"), ("zzzz", "")])
-def test_a_wrong_kind_lists_all_kinds_and_the_one_that_was_meant(kind: str, near: str) -> None:
+def test_a_wrong_kind_lists_all_kinds_and_the_most_similar_kind(kind: str, near: str) -> None:
     with pytest.raises(InputError, match=r"it should be point, .*, pose, deviation") as refused:
         tasks(task=[{"name": "a", "kind": kind, "targets": ["T01", "T02", "T03"]}])
     assert str(refused.value).endswith(f"deviation{near}")

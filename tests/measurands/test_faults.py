@@ -48,33 +48,35 @@ def test_an_uncertainty_corrects_a_target_that_moved_and_a_wrong_constant() -> N
     clean = clean_uncertainty()
     assert (clean.tests, clean.corrections_text, clean.uncertainty_factor) == ((), "", 1.0)
     for recording, place in ((moved_target(0.25e-3)[0], "T07"), (wrong_constant(), "S3")):
-        found = uncertainty_of_length(recording)
+        uncertainty = uncertainty_of_length(recording)
         sentence = f"The model corrects 1 error at {place}"
-        text = result_section(found).terminal_text()
+        text = result_section(uncertainty).terminal_text()
         assert sentence in text
-        assert found.tests[0].sentence in text
-        assert result_section(found).assessment == "caution"
-        assert abs(found.results[0].value - clean.results[0].value) < found.results[0].expanded_uncertainty
-        assert found.results[0].expanded_uncertainty < 2.0 * clean.results[0].expanded_uncertainty
-        assert max(found.results[0].nonlinearity_ratio, clean.results[0].nonlinearity_ratio) < 0.1
+        assert uncertainty.tests[0].sentence in text
+        assert result_section(uncertainty).assessment == "caution"
+        assert abs(uncertainty.results[0].value - clean.results[0].value) < uncertainty.results[0].expanded_uncertainty
+        assert uncertainty.results[0].expanded_uncertainty < 2.0 * clean.results[0].expanded_uncertainty
+        assert max(uncertainty.results[0].nonlinearity_ratio, clean.results[0].nonlinearity_ratio) < 0.1
 
 
 def test_an_uncertainty_is_larger_where_the_readings_contradict_the_model() -> None:
-    clean, found = clean_uncertainty(), uncertainty_of_length(distorted())
-    assert found.sigma0 is not None
-    assert found.uncertainty_factor == found.sigma0 > 1.2
-    observed = [{p.source: p.standard_uncertainty for p in u.results[0].budget} for u in (clean, found)]
-    assert observed[1]["azimuth readings"] == pytest.approx(found.sigma0 * observed[0]["azimuth readings"], rel=0.01)
-    assert "multiplied by sigma0" in result_section(found).terminal_text()
+    clean, uncertainty = clean_uncertainty(), uncertainty_of_length(distorted())
+    assert uncertainty.sigma0 is not None
+    assert uncertainty.uncertainty_factor == uncertainty.sigma0 > 1.2
+    observed = [{p.source: p.standard_uncertainty for p in u.results[0].budget} for u in (clean, uncertainty)]
+    assert observed[1]["azimuth readings"] == pytest.approx(
+        uncertainty.sigma0 * observed[0]["azimuth readings"], rel=0.01
+    )
+    assert "multiplied by sigma0" in result_section(uncertainty).terminal_text()
 
 
 def test_a_comparison_corrects_each_recording() -> None:
     for recording, place in ((moved_target(0.25e-3)[0], "T07"), (wrong_constant(), "S3")):
-        found = lt.compare(workshop(), recording, same_instrument=True)
-        assert f"In the second epoch: The model corrects 1 error at {place}" in result_section(found).summary
-        assert (found.tests, found.moved_points) == ((), ())
-        assert found.second_tests
-        assert result_section(found).assessment == "caution"
+        comparison = lt.compare(workshop(), recording, same_instrument=True)
+        assert f"In the second epoch: The model corrects 1 error at {place}" in result_section(comparison).summary
+        assert (comparison.tests, comparison.moved_points) == ((), ())
+        assert comparison.second_tests
+        assert result_section(comparison).assessment == "caution"
 
 
 def test_a_recording_with_a_wrong_constant_has_a_floor_plan(tmp_path: Path) -> None:

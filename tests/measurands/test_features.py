@@ -34,35 +34,35 @@ def surface(kind: str, count: int, *key: int) -> tuple[Floats, Floats]:
 def test_published_circle() -> None:
     """Gander, Golub and Strebel, BIT 34 (1994) 558: the geometric fit of their six points."""
     plane = np.array([[1, 7], [2, 6], [5, 8], [7, 7], [9, 5], [3, 7]], dtype=np.float64)
-    found = fit_feature("circle", np.column_stack([plane, np.zeros(6)]))
-    assert np.round(found.reference_point, 4).tolist() == [4.7398, 2.9835, 0.0]
-    assert round(float(found.radius), 4) == 4.7142
+    feature_fit = fit_feature("circle", np.column_stack([plane, np.zeros(6)]))
+    assert np.round(feature_fit.reference_point, 4).tolist() == [4.7398, 2.9835, 0.0]
+    assert round(float(feature_fit.radius), 4) == 4.7142
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_exact_points_are_fitted_exactly(kind: str) -> None:
     points, direction = surface(kind, 12)
-    found = fit_feature(kind, points)
-    assert np.abs(found.deviations).max() < 1e-11
+    feature_fit = fit_feature(kind, points)
+    assert np.abs(feature_fit.deviations).max() < 1e-11
     if kind != "sphere":
-        assert abs(abs(found.direction @ direction) - 1.0) < 1e-12
+        assert abs(abs(feature_fit.direction @ direction) - 1.0) < 1e-12
     if kind in ("circle", "sphere", "cylinder"):
-        assert found.radius == pytest.approx(0.7, abs=1e-11)
+        assert feature_fit.radius == pytest.approx(0.7, abs=1e-11)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_neighbouring_element_fits_better(kind: str) -> None:
     points = surface(kind, 15)[0] + 1e-4 * random_stream(5, kind).standard_normal((15, 3))
-    found = fit_feature(kind, points)
-    best = distances(kind, points, found.reference_point, found.direction, found.radius)
+    feature_fit = fit_feature(kind, points)
+    best = distances(kind, points, feature_fit.reference_point, feature_fit.direction, feature_fit.radius)
     rng = random_stream(6, kind)
     for _ in range(60):
         size = 10.0 ** rng.uniform(-6, -3)
         centre, normal = (
-            found.reference_point + size * rng.standard_normal(3),
-            found.direction + size * rng.standard_normal(3),
+            feature_fit.reference_point + size * rng.standard_normal(3),
+            feature_fit.direction + size * rng.standard_normal(3),
         )
-        radius = found.radius + size * rng.standard_normal()
+        radius = feature_fit.radius + size * rng.standard_normal()
         assert distances(kind, points, centre, normal / np.linalg.norm(normal), radius) >= best
 
 

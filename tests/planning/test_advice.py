@@ -30,7 +30,7 @@ def hall(tmp_path: Path) -> Path:
     return tmp_path / "hall.toml"
 
 
-def test_a_moved_layout_has_one_set_of_sights(hall: Path) -> None:
+def test_a_moved_layout_has_a_single_set_of_sights(hall: Path) -> None:
     """From S1 the press hides F to a tripod 50 mm beside its place: no part of the plan counts this sight."""
     plan = lt.plan(hall, move={"S1": (1500, 3000), "S2": (3000, 1200)})
     (point,) = [reflector for reflector in plan.reflectors if reflector.name == "F"]
@@ -116,7 +116,7 @@ def test_too_few_stations_are_advised_to_be_more(count: int, asked: str, larger:
         assert len(lt.plan(tmp_path / "hall.toml").stations) == larger
 
 
-def test_a_refused_place_names_the_body_and_one_height(hall: Path) -> None:
+def test_a_refused_place_names_the_body_and_a_height(hall: Path) -> None:
     with pytest.raises(InputError, match=r"S1 stands inside an obstacle \(workshop.obstacles: press\)$"):
         lt.plan(hall, move={"S1": (4500, 2800)})
     with pytest.raises(InputError, match=r"S1 stands with its head at 1700 mm, expected 1500 mm \(floor.height_mm\)"):

@@ -53,7 +53,7 @@ def test_sizes_along_and_across_the_beam_are_those_of_the_cards() -> None:
     )
 
 
-def test_a_long_hall_holds_the_air_by_default_and_a_short_one_does_not(tmp_path: Path) -> None:
+def test_a_long_hall_models_the_air_by_default_and_a_short_hall_does_not(tmp_path: Path) -> None:
     (tmp_path / "points.csv").write_text(points_csv(), encoding="utf-8")
     file = tmp_path / "hall.toml"
     visible = {}

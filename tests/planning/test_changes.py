@@ -45,8 +45,8 @@ def changed(survey: PlannedSurvey, change: ReflectorChangeEntry) -> PlannedSurve
 
 def point_error(survey: PlannedSurvey, names: list[str]) -> float:
     """Point error [m] of some targets, root mean square, inner constraints over them."""
-    found = ExpectedPrecision.from_survey(survey).adjustment.with_inner_datum(names)
-    trace = np.einsum("tii->t", found.target_covariances)
+    network = ExpectedPrecision.from_survey(survey).adjustment.with_inner_datum(names)
+    trace = np.einsum("tii->t", network.target_covariances)
     return float(np.sqrt(np.mean([trace[survey.target_names.index(name)] for name in names])))
 
 
@@ -55,10 +55,10 @@ def test_a_change_brings_what_it_promises(weights: dict[str, float]) -> None:
     places, names = wall_places()
     where = site(candidate_reflector_places=places, reflector_place_names=names, min_reflector_spacing=0.5)
     objective = LayoutObjective(weights)
-    found = evaluate_reflector_changes(where, where.survey, STAYS, objective, misalignment_construction())
-    assert {change.kind for change in found.reported_changes} == {"move", "add", "remove"}
+    changes = evaluate_reflector_changes(where, where.survey, STAYS, objective, misalignment_construction())
+    assert {change.kind for change in changes.reported_changes} == {"move", "add", "remove"}
     before = objective_and_qualities(where.survey, objective, misalignment_construction())[0]
-    for change in found.reported_changes[::3]:
+    for change in changes.reported_changes[::3]:
         made = changed(where.survey, change)
         common = [name for name in where.survey.target_names if name in made.target_names]
         gain = 1e6 * (point_error(where.survey, common) - point_error(made, common))
@@ -71,19 +71,19 @@ def test_a_change_brings_what_it_promises(weights: dict[str, float]) -> None:
             assert change.objective_ratio == pytest.approx(
                 1 - 1e-6 * gain / point_error(where.survey, common), rel=1e-4
             )
-    moves = [change.objective_ratio for change in found.reported_changes if change.kind == "move"]
+    moves = [change.objective_ratio for change in changes.reported_changes if change.kind == "move"]
     assert moves == sorted(moves)
     assert moves[-1] < 1.0
 
 
-def test_what_was_tried_and_did_not_help_is_said() -> None:
+def test_changes_without_improvement_are_reported() -> None:
     places, names = wall_places()
     where = site(candidate_reflector_places=places, reflector_place_names=names, min_reflector_spacing=0.5)
     made = choose_reflectors(where, where.survey, STAYS, LayoutObjective(), misalignment_construction())
-    found = evaluate_reflector_changes(where, made, np.arange(28) < 4, LayoutObjective(), misalignment_construction())
-    assert found.n_useful_by_kind["move"] == 0, "the exchange has made every move that helps"
-    assert found.n_evaluated_by_kind["move"] > 300
-    assert f"{found.n_evaluated_by_kind['move']} moves of a reflector (0 useful)" in found.summary_sentence
+    changes = evaluate_reflector_changes(where, made, np.arange(28) < 4, LayoutObjective(), misalignment_construction())
+    assert changes.n_useful_by_kind["move"] == 0, "the exchange has made every move that helps"
+    assert changes.n_evaluated_by_kind["move"] > 300
+    assert f"{changes.n_evaluated_by_kind['move']} moves of a reflector (0 useful)" in changes.summary_sentence
     alone = evaluate_reflector_changes(site(), site().survey, STAYS, LayoutObjective(), misalignment_construction())
     assert alone.n_evaluated_by_kind == {"move": 0, "add": 0, "remove": 24}
     assert "Give candidate places" in alone.summary_sentence
@@ -114,14 +114,14 @@ def test_points_of_a_list_are_moved_only_where_they_are_called_movable(tmp_path:
         where = make_search_space(file, scenario, n_stations=4, n_faces=1).replace(min_sights_per_target=1)
         survey = where.survey.replace(is_visible=where.is_visible(where.survey.station_positions))
         stays = is_target_never_moved(file, scenario, survey)
-        found = evaluate_reflector_changes(
+        changes = evaluate_reflector_changes(
             where, survey, stays, LayoutObjective({TARGETS_QUALITY_NAME: 1.0}), misalignment_construction()
         )
         assert is_target_fixed_in_search(file, scenario).all(), "the search leaves the points of a list where they are"
-        assert {what for what, count in found.n_evaluated_by_kind.items() if count} == {
+        assert {what for what, count in changes.n_evaluated_by_kind.items() if count} == {
             "none": set(), "walls": {"add"}, "both": {"move", "add", "remove"},
         }[name]  # fmt: skip
-        for change in found.reported_changes:
+        for change in changes.reported_changes:
             assert change.reflector == "" or change.reflector.startswith("W")
             assert change.most_affected_parameter in survey.target_names
             if change.position_mm is not None:
@@ -129,11 +129,11 @@ def test_points_of_a_list_are_moved_only_where_they_are_called_movable(tmp_path:
                     np.linalg.norm(survey.target_points - 1e-3 * np.array(change.position_mm), axis=1).min()
                     >= where.min_reflector_spacing
                 )
-    places = [change.new_place for change in found.reported_changes if change.kind == "move"]
+    places = [change.new_place for change in changes.reported_changes if change.kind == "move"]
     assert len(places) == len(set(places)), "each place is told once"
 
 
-def test_bodies_and_groups_that_are_not_there_are_told(tmp_path: Path) -> None:
+def test_missing_bodies_and_groups_are_reported(tmp_path: Path) -> None:
     (tmp_path / "points.csv").write_text(points_csv(), encoding="utf-8")
     for given, sentence in (
         ('candidate_bodies = ["wals"]', "did you mean walls"),

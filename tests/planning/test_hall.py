@@ -120,7 +120,7 @@ def test_holes_ceilings_and_clearance_take_floor_away() -> None:
         ('"points.csv"', '"nowhere.csv"', "nowhere.csv: there is no such file"),
     ],
 )  # fmt: skip
-def test_what_is_wrong_with_a_hall_is_one_sentence(hall: Path, old: str, new: str, sentence: str) -> None:
+def test_a_wrong_hall_is_refused_in_a_sentence(hall: Path, old: str, new: str, sentence: str) -> None:
     assert old in HALL
     hall.write_text(HALL.replace(old, new, 1), encoding="utf-8")
     with pytest.raises(InputError) as caught:
@@ -129,7 +129,7 @@ def test_what_is_wrong_with_a_hall_is_one_sentence(hall: Path, old: str, new: st
     assert "\n" not in str(caught.value)
 
 
-def test_outlines_that_cross_touch_or_lie_in_a_line_are_told() -> None:
+def test_outlines_that_cross_touch_or_lie_in_a_line_are_reported() -> None:
     assert not invalid_outline_reason(np.array([[0.0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]]))
     assert "cross or touch" in invalid_outline_reason(np.array([[0.0, 0], [1, 1], [1, 0], [0, 1]]))
     assert "cross or touch" in invalid_outline_reason(np.array([[0.0, 0], [2, 0], [2, 2], [1, 0], [0, 2]]))
@@ -175,7 +175,7 @@ def test_points_in_a_thousandth_of_the_room_are_a_question(hall: Path, scale: fl
         ("name,x_mm,y_mm,z_mm\n", "contains no points"),
     ],
 )
-def test_what_is_wrong_with_a_list_is_one_sentence(tmp_path: Path, text: str, sentence: str) -> None:
+def test_a_wrong_list_is_refused_in_a_sentence(tmp_path: Path, text: str, sentence: str) -> None:
     file = tmp_path / "p.csv"
     file.write_text(text, encoding="utf-8")
     with pytest.raises(InputError) as caught:
@@ -194,19 +194,19 @@ def test_a_cylinder_hides_what_its_diameter_covers() -> None:
     assert there.is_setup_inside_body(np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 1.0]])).tolist() == [True, False]
 
 
-def test_a_radius_holds_the_stated_share_of_errors() -> None:
+def test_a_radius_holds_the_declared_share_of_errors() -> None:
     rng = np.random.default_rng(4)
     shapes = [np.diag([1.0, 0, 0]), np.eye(3), np.diag([4.0, 1.0, 0.25]), [[2.0, 0.9, 0], [0.9, 1, 0], [0, 0, 0.1]]]
     covariance = np.array(shapes)
     limit = error_radius(covariance, 0.95)
     assert limit[:2] == pytest.approx([1.95996, 2.79548], rel=1e-5)
-    for one, most in zip(covariance, limit, strict=True):
-        errors = rng.multivariate_normal(np.zeros(3), one, 200_000, method="eigh")
+    for matrix, most in zip(covariance, limit, strict=True):
+        errors = rng.multivariate_normal(np.zeros(3), matrix, 200_000, method="eigh")
         assert np.mean(np.linalg.norm(errors, axis=1) < most) == pytest.approx(0.95, abs=0.003)
 
 
 @pytest.mark.long
-def test_the_fewest_stations_keep_the_tolerances_and_a_loss_is_told(hall: Path) -> None:
+def test_the_fewest_stations_meet_the_tolerances_and_a_loss_is_reported(hall: Path) -> None:
     goal = '[goal]\nloss_to_withstand = "ROBUST"\n[[goal.tolerances]]\ngroup = "machine"\ntolerance_mm = 0.03\n[search]'
     counts = {}
     for robust in ("no", "station"):
@@ -307,7 +307,7 @@ def test_the_work_order_places_tripods_by_tape_and_lists_the_work(hall: Path, tm
     assert len(again) == made.layout.survey.n_pointings
 
 
-def test_tapes_meet_in_one_point_or_say_what_they_lack(hall: Path, monkeypatch) -> None:
+def test_tapes_determine_a_point_or_report_what_is_missing(hall: Path, monkeypatch) -> None:
     place = np.array([3.0, 2.0, 1.5])
 
     def marks(*at: tuple[float, float]) -> list[TapeDistance]:
@@ -329,24 +329,27 @@ def test_tapes_meet_in_one_point_or_say_what_they_lack(hall: Path, monkeypatch) 
     assert tape_deficiency_sentence(in_line[:2], place).startswith("Fewer than three points are within reach of a tape")
     fourth, far = marks((0.5, 4.0), (19.0, 14.0))
     for more in ([fourth], [far], [fourth, far]):  # one off the line decides, the nearer one where there is a choice
-        found = work_order._best_tape_distances([*in_line, *more], place)
-        assert any(tape is more[0] for tape in found)
-        assert tape_deficiency_sentence(found, place) == ""
+        tapes = work_order._best_tape_distances([*in_line, *more], place)
+        assert any(tape is more[0] for tape in tapes)
+        assert tape_deficiency_sentence(tapes, place) == ""
     assert len(work_order._best_tape_distances(in_line[:2], place)) == 2
     hall.write_text(HALL.replace("[search]", "[stations]\ncount = 2\n[work]\nfaces = 1\n[search]"))
     monkeypatch.setattr(work_order, "_candidate_tape_distances", lambda plan, place, visible: in_line[:2])
     assert "S1: Fewer than three points are within reach of a tape" in work_order_page(lt.plan(hall))
 
 
-def test_a_network_that_falls_apart_keeps_no_tolerance() -> None:
+def test_a_disconnected_network_meets_no_tolerance() -> None:
     tolerance = dict.fromkeys("ABC", 1e-4)
-    kept, lost = ToleranceCheck("", tolerance, {}, np.inf, "C", ("C",)), ToleranceCheck("S1", tolerance, {}, np.inf, "")
-    judgement = plan_verdict(PointTolerances(tolerance), kept, [lost])
+    verdict, lost = (
+        ToleranceCheck("", tolerance, {}, np.inf, "C", ("C",)),
+        ToleranceCheck("S1", tolerance, {}, np.inf, ""),
+    )
+    judgement = plan_verdict(PointTolerances(tolerance), verdict, [lost])
     assert not judgement.is_goal_reached and judgement.sentences.startswith("Not reached: 0 of 3 tolerances are met")
-    assert kept.unseen_points == ("C",) and kept.violations_clause.startswith("C is not visible")
+    assert verdict.unseen_points == ("C",) and verdict.violations_clause.startswith("C is not visible")
 
 
-def test_numbers_without_a_layout_name_the_points_that_the_nearest_one_lacks() -> None:
+def test_numbers_without_a_layout_name_the_points_that_the_best_layout_lacks() -> None:
     tried = [
         StationCountResult(3, None, False, "M1, M2"),
         StationCountResult(4, None, False, "M2"),

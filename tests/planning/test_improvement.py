@@ -37,7 +37,7 @@ def test_expected_criteria_agree_with_simulated_calibrations() -> None:
     scale = np.array([0.5 if p.specified_quantity == "angle" else 1.0 for p in construction.parameters])
     clean = made.noise_free_recording(construction)
     size = 0.5 * np.array([p.prior_sigma for p in effect.parameters])
-    found = []
+    errors = []
     for trial in range(TRIALS):
         rng = random_stream(11, "trial", trial)
         values = rng.normal(size=16) * information.prior_sigma * scale
@@ -59,8 +59,8 @@ def test_expected_criteria_agree_with_simulated_calibrations() -> None:
         assert after[1] is not None
         before = criteria.distance.before, criteria.coordinate.before
         sizes = before[0].mean_um, after[0].mean_um, before[1].mean_um, after[1].mean_um
-        found.append([1e-6 * size for size in sizes if size is not None])
-    mean, error = np.mean(found, axis=0), np.std(found, axis=0) / np.sqrt(TRIALS)
+        errors.append([1e-6 * size for size in sizes if size is not None])
+    mean, error = np.mean(errors, axis=0), np.std(errors, axis=0) / np.sqrt(TRIALS)
     predicted = [
         expected.distance_disagreement_before[0],
         expected.distance_disagreement_after[0],
@@ -71,11 +71,13 @@ def test_expected_criteria_agree_with_simulated_calibrations() -> None:
     assert error[1] < 0.03 * mean[1], "the comparison would not notice a wrong prediction"
 
 
-def test_requests_are_answered_one_by_one_and_groups_are_named() -> None:
+def test_requests_are_answered_separately_and_groups_are_named() -> None:
     predictor = DisagreementPredictor.from_expected_precision(ExpectedPrecision.from_survey(survey((1,), 2)))
     many = predictor.expected_disagreement({"range noise": np.array([0.0, 1.0, 2.0])})
     assert np.all(np.diff(many.distance_disagreement_after) > 0)
-    one = predictor.expected_disagreement({"range noise": 2.0})
-    assert many.coordinate_disagreement_after[2] == pytest.approx(one.coordinate_disagreement_after[0], rel=1e-12)
+    prediction = predictor.expected_disagreement({"range noise": 2.0})
+    assert many.coordinate_disagreement_after[2] == pytest.approx(
+        prediction.coordinate_disagreement_after[0], rel=1e-12
+    )
     with pytest.raises(ModelError, match="range noise"):
         predictor.expected_disagreement({"range nose": 1.0})

@@ -47,8 +47,8 @@ def test_undetermined_combinations_have_the_gain_they_state() -> None:
     information = ExpectedPrecision.from_survey(survey((1,)))
     assert information.undetermined_combinations, "one face leaves the vertical group undetermined"
     for direction in information.undetermined_combinations:
-        left = direction.coefficient_vector @ information.covariance_in_prior_sigmas @ direction.coefficient_vector
-        assert 1.0 - left == pytest.approx(direction.gain, abs=1e-12)
+        variance = direction.coefficient_vector @ information.covariance_in_prior_sigmas @ direction.coefficient_vector
+        assert 1.0 - variance == pytest.approx(direction.gain, abs=1e-12)
         assert direction.gain < 0.5
     first = information.undetermined_combinations[0].coefficients(information.construction.parameter_names)
     assert {"vertical-index", "elevation-eccentricity-cos"} <= set(first)
@@ -119,7 +119,7 @@ def test_batch_agrees_with_the_slow_twin_for_ranges_alone() -> None:
         assert out.weighted_target_rms[i] == pytest.approx(slow.target_rms, rel=1e-7)
 
 
-def test_ranges_from_one_plane_determine_nothing() -> None:
+def test_ranges_from_a_single_plane_determine_nothing() -> None:
     """Stations in a plane may be sheared against their targets without any range changing: only the gauge resists."""
     made = survey((1,), observables=("distance",))
     made = made.replace(setup=made.setup.model_copy(update={"gauge": None}))
@@ -144,22 +144,22 @@ def test_an_effect_in_the_batch_is_what_it_would_be_as_a_parameter() -> None:
     out = reducer.evaluate_layouts(
         reducer.normal_blocks(made.station_positions, made.station_yaws, np.arange(5)), np.arange(5)[None]
     )
-    own = np.linalg.inv(out.information_matrices[0])[-1, -1] * RangeOffset.parameters[0].prior_sigma ** 2
+    variance = np.linalg.inv(out.information_matrices[0])[-1, -1] * RangeOffset.parameters[0].prior_sigma ** 2
     whole = ExpectedPrecision.from_survey(made)
     at = whole.construction.parameter_index("range-offset")
     without_prior = 1 / whole.instrument_covariance[at, at] - 1 / whole.prior_sigma[at] ** 2
-    assert own == pytest.approx(1 / without_prior, rel=1e-8)
+    assert variance == pytest.approx(1 / without_prior, rel=1e-8)
 
 
 def masks() -> dict[str, np.ndarray]:
     """What each station sees where S3's pose is lost to counting, to a line, to a cut through the network."""
-    few, line, apart, two = (np.ones((5, 28), dtype=bool) for _ in range(4))
+    few, line, disconnected, two = (np.ones((5, 28), dtype=bool) for _ in range(4))
     few[2, 2:] = False
     line[2] = False
     line[2, [0, 2, 4, 6]] = True
-    apart[:3, 14:], apart[3:, :14] = False, False
+    disconnected[:3, 14:], disconnected[3:, :14] = False, False
     two[:3, 14:], two[3:, 2:14] = False, False
-    return {"two targets": few, "one line": line, "two networks": apart, "two networks and a line": two}
+    return {"two targets": few, "one line": line, "two networks": disconnected, "two networks and a line": two}
 
 
 @pytest.mark.parametrize("case", masks())

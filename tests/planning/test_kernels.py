@@ -49,7 +49,7 @@ def test_rank_is_the_same_under_every_kernel(kernel: str) -> None:
     if ended.returncode < 0:
         pytest.skip(f"this processor does not run the instructions of {kernel}")
     assert ended.returncode == 0, ended.stderr
-    found = json.loads(ended.stdout)
-    assert found.pop("whole") == ["determined", "determined"]
-    assert found
-    assert all(decisions == ["lost", "lost"] for decisions in found.values()), found
+    content = json.loads(ended.stdout)
+    assert content.pop("whole") == ["determined", "determined"]
+    assert content
+    assert all(decisions == ["lost", "lost"] for decisions in content.values()), content

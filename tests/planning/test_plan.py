@@ -118,8 +118,8 @@ def test_the_curve_knows_cost_and_quality(plan: PlannedNetwork) -> None:
     assert efficient == sorted(efficient, reverse=True)
     ways = {(len(o.survey.station_positions), o.survey.repeats) for o in plan.tradeoff_points}
     assert ways == {(n, r) for n in (3, 4) for r in (1, 2)}
-    one = next(o for o in plan.tradeoff_points if len(o.survey.station_positions) == 3 and o.survey.repeats == 1)
-    assert one.survey.duration == 3 * (20 * 60 + 28 * 15)
+    point = next(o for o in plan.tradeoff_points if len(o.survey.station_positions) == 3 and o.survey.repeats == 1)
+    assert point.survey.duration == 3 * (20 * 60 + 28 * 15)
     few = fewest_stations_not_worse_than_scenario(plan)
     assert few is not None
     assert len(few.survey.station_positions) <= 4
@@ -196,28 +196,28 @@ def test_ctrl_c_keeps_the_best_layout_so_far(tmp_path: Path, monkeypatch: pytest
         raise KeyboardInterrupt
 
     monkeypatch.setattr(LayoutSearcher, "refine_off_grid", stop)
-    said: list[str] = []
+    lines: list[str] = []
     file, scenario = load_plan(small("[stations]\ncount = 3\n", tmp_path))
-    made = make_plan(file, scenario, callbacks=SearchCallbacks(on_progress_sentence=said.append))
+    made = make_plan(file, scenario, callbacks=SearchCallbacks(on_progress_sentence=lines.append))
     ((position, value),) = exchanged
     assert made.layout.survey.station_positions == pytest.approx(position)
     assert made.layout.objective_value == pytest.approx(value, rel=1e-6)
     assert Plan.from_network(made).reasons[-1].startswith("The search was stopped")
-    assert said and said[0].startswith("best layout so far: 3 stations")
+    assert lines and lines[0].startswith("best layout so far: 3 stations")
 
 
 @pytest.mark.long
 def test_the_best_so_far_is_given_on_the_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(multistart_search, "MIN_REPORT_INTERVAL", 0.0)
-    kept: list[Any] = []
+    layouts: list[Any] = []
     file, scenario = load_plan(small("[stations]\ncount = 3\n", tmp_path))
     scenarios: list[Any] = []
-    callbacks = SearchCallbacks(on_better_layout=kept.append, on_scenario=scenarios.append)
+    callbacks = SearchCallbacks(on_better_layout=layouts.append, on_scenario=scenarios.append)
     made = make_plan(file, scenario, callbacks=callbacks)
     assert scenarios == [scenario]
-    assert kept
-    assert kept[-1].target_names == made.layout.survey.target_names
-    assert made.search_space.is_allowed(kept[-1].station_positions).all()
+    assert layouts
+    assert layouts[-1].target_names == made.layout.survey.target_names
+    assert made.search_space.is_allowed(layouts[-1].station_positions).all()
 
 
 def test_built_in_plans_load_and_print() -> None:
@@ -251,7 +251,7 @@ def test_built_in_plans_load_and_print() -> None:
         ("[[points]]\nposition_mm = [1, 2, 3, 4]\n", "unknown key points.1.position_mm"),
     ],
 )
-def test_what_is_wrong_with_a_file_is_said_in_one_sentence(text: str, sentence: str, tmp_path: Path) -> None:
+def test_a_wrong_file_is_refused_in_a_sentence(text: str, sentence: str, tmp_path: Path) -> None:
     path = tmp_path / "plan.toml"
     path.write_text(HEAD + text, encoding="utf-8")
     with pytest.raises(InputError) as caught:
@@ -271,8 +271,8 @@ def test_no_such_file_and_no_floor(tmp_path: Path) -> None:
 def test_the_command_leaves_coordinates_and_a_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = small("[stations]\ncount = 3\n", tmp_path)
     assert run(["plan", str(path), "--out", str(tmp_path / "out"), "--jobs", "1", "--seed", "3"]) == 0
-    said = capsys.readouterr().out
-    assert "Positions of the tripod" in said
+    output = capsys.readouterr().out
+    assert "Positions of the tripod" in output
     written = {file.name for file in (tmp_path / "out").iterdir()}
     assert {"floor.png", "tradeoff.png", "stations.csv", "plan.json", "scenario.toml"} <= written
     assert (tmp_path / "out" / "floor.png").read_bytes().startswith(b"\x89PNG")
@@ -282,7 +282,7 @@ def test_the_command_leaves_coordinates_and_a_picture(tmp_path: Path, capsys: py
 
 
 @pytest.mark.parametrize("arguments", [["plan"], ["plan", "nothing"], ["plan", "paper-workshop", "--between", "a,b"]])
-def test_bad_usage_is_one_sentence(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_usage_is_refused_in_a_sentence(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert run(arguments) == 2
     assert len(capsys.readouterr().err.strip().splitlines()) == 1
 

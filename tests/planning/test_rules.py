@@ -97,7 +97,7 @@ def test_clearance_from_bodies_is_set_by_the_plan_and_not_required_of_fixed_stat
     assert site.stand_clearance is not None and site.stand_clearance.has_room(site.grid_station_positions(0.1, 1)).all()
 
 
-def test_two_tripods_in_one_place_are_never_reached(hall: Path) -> None:
+def test_two_tripods_at_the_same_place_never_occur(hall: Path) -> None:
     """The spacing cannot be switched off, and stations that are not moved are tested too."""
     hall.write_text(PLAN.replace("[stations]", "[stations]\nspacing_mm = 0"))
     with pytest.raises(InputError, match=r"stations.spacing_mm is 0"):
@@ -165,8 +165,12 @@ def test_without_works_for_two_stations_and_prints_the_command_that_follows(
     monkeypatch.chdir(tmp_path)
     alone, *others = lt.station_alternatives(hall, "S2")
     assert alone.position_text == "without S2" and not alone.move_option
-    assert others and all(one.move_option.startswith("S2=") and one.move_option.count(",") == 3 for one in others)
-    assert [one.meets_goal for one in others] == sorted([one.meets_goal for one in others], reverse=True)
+    assert others and all(
+        station.move_option.startswith("S2=") and station.move_option.count(",") == 3 for station in others
+    )
+    assert [station.meets_goal for station in others] == sorted(
+        [station.meets_goal for station in others], reverse=True
+    )
     assert run(["plan", str(hall), "--without", "S2"]) == 0
     command = capsys.readouterr().out.splitlines()[-1].partition(": ltsim ")[2].split()
     assert command[:3] == ["plan", str(hall), "--move"]
@@ -191,15 +195,17 @@ def test_the_number_of_stations_per_target_that_a_search_chose_is_no_rule_of_the
             move = f"--move=S1={x},{y}"
             assert run(["plan", str(tmp_path / "made"), move, "--out", str(folder), "--quiet"]) == 0
         assert not load_plan_and_scenario(folder)[0].gives_min_stations_per_target
-        assert not any("min_stations_per_target" in one.verdict for one in lt.station_alternatives(folder, "S1"))
+        assert not any(
+            "min_stations_per_target" in alternative.verdict for alternative in lt.station_alternatives(folder, "S1")
+        )
 
 
-def test_a_tolerance_that_is_missed_by_a_little_is_not_kept_and_looks_so() -> None:
+def test_a_tolerance_missed_by_a_little_is_not_met_and_is_displayed_so() -> None:
     demands = PointTolerances({"A": 1e-4})
     missed = ToleranceCheck("", demands.tolerance_by_point_m, {"A": 1.004e-4}, 1.004, "A")
-    said = plan_verdict(demands, missed, [])
-    assert not said.is_goal_reached and not missed.meets_all_tolerances and missed.exceeding_points == ["A"]
-    assert said.sentences.endswith("worst point A: 0.1004 mm, limit 0.1 mm (0.4 % too large)")
+    verdict = plan_verdict(demands, missed, [])
+    assert not verdict.is_goal_reached and not missed.meets_all_tolerances and missed.exceeding_points == ["A"]
+    assert verdict.sentences.endswith("worst point A: 0.1004 mm, limit 0.1 mm (0.4 % too large)")
     far = ToleranceCheck("", demands.tolerance_by_point_m, {"A": 1.236e-4}, 1.236, "A")
     assert "(24 % too large)" in far.worst_point_margin_text
     assert (

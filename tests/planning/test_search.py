@@ -59,40 +59,42 @@ def information(where: SearchSpace, position: Floats, yaw: Floats) -> ExpectedPr
 
 
 @pytest.fixture(scope="module")
-def found():  # type: ignore[no-untyped-def]
+def best_layout():  # type: ignore[no-untyped-def]
     return searcher(site()).search_from(4, 1)
 
 
-def test_the_value_is_that_of_the_layout_it_returns(found) -> None:  # type: ignore[no-untyped-def]
-    covariance = information(site(), found.positions, found.yaws).covariance_in_prior_sigmas
-    assert found.objective_value == pytest.approx(float(d_criterion(covariance)), rel=1e-8)
+def test_the_value_is_that_of_the_layout_it_returns(best_layout) -> None:  # type: ignore[no-untyped-def]
+    covariance = information(site(), best_layout.positions, best_layout.yaws).covariance_in_prior_sigmas
+    assert best_layout.objective_value == pytest.approx(float(d_criterion(covariance)), rel=1e-8)
 
 
-def test_a_search_beats_the_layout_it_did_not_know_and_keeps_the_rules(found) -> None:  # type: ignore[no-untyped-def]
+def test_a_search_beats_the_layout_it_did_not_know_and_keeps_the_rules(best_layout) -> None:  # type: ignore[no-untyped-def]
     where = site()
-    own = searcher(where).evaluate_layout(where.survey.station_positions, where.survey.station_yaws)
-    assert found.objective_value < 0.8 * own.objective_value
-    assert where.is_allowed(found.positions).all()
-    assert where.is_visible(found.positions).all()
-    gap = np.linalg.norm(found.positions[:, None, :2] - found.positions[None, :, :2], axis=2)[np.triu_indices(3, 1)]
+    start_layout = searcher(where).evaluate_layout(where.survey.station_positions, where.survey.station_yaws)
+    assert best_layout.objective_value < 0.8 * start_layout.objective_value
+    assert where.is_allowed(best_layout.positions).all()
+    assert where.is_visible(best_layout.positions).all()
+    gap = np.linalg.norm(best_layout.positions[:, None, :2] - best_layout.positions[None, :, :2], axis=2)[
+        np.triu_indices(3, 1)
+    ]
     assert gap.min() >= where.min_station_spacing - 1e-9
 
 
-def test_no_single_station_of_the_grid_improves_it(found) -> None:  # type: ignore[no-untyped-def]
+def test_no_single_station_of_the_grid_improves_it(best_layout) -> None:  # type: ignore[no-untyped-def]
     work = searcher(site())
-    here = work.normal_blocks_of_layout(found.positions, found.yaws)
+    here = work.normal_blocks_of_layout(best_layout.positions, best_layout.yaws)
     for slot in range(3):
-        assert work.best_replacement(here, slot, work.normal_blocks_of_grid(slot))[1] > found.objective_value * (
+        assert work.best_replacement(here, slot, work.normal_blocks_of_grid(slot))[1] > best_layout.objective_value * (
             1 - 1e-3
         )
 
 
-def test_a_search_is_reproducible_from_its_seed(found) -> None:  # type: ignore[no-untyped-def]
+def test_a_search_is_reproducible_from_its_seed(best_layout) -> None:  # type: ignore[no-untyped-def]
     again = searcher(site()).search_from(4, 1)
-    assert np.array_equal(again.positions, found.positions)
-    assert np.array_equal(again.yaws, found.yaws)
+    assert np.array_equal(again.positions, best_layout.positions)
+    assert np.array_equal(again.yaws, best_layout.yaws)
     other = searcher(site()).search_from(5, 1)
-    assert not np.array_equal(other.positions, found.positions)
+    assert not np.array_equal(other.positions, best_layout.positions)
 
 
 LONG_HALL = """format = "ltsim-plan/1"
@@ -134,9 +136,9 @@ def test_stations_that_share_too_little_are_bound_together(tmp_path: Path) -> No
     problem = PlanningProblem(file, scenario)
     work = problem.make_searcher(problem.search_space(SearchTask(4, 1, 0)))
     drawn = [work.random_layout(random_stream(0, "plan", 4, k)) for k in range(4)]
-    apart = [layout for layout in drawn if not np.isfinite(work._objective_of_layout(layout))]
-    assert len(apart) > 1
-    bound = [work._connect_stations(layout) for layout in apart]
+    infeasible = [layout for layout in drawn if not np.isfinite(work._objective_of_layout(layout))]
+    assert len(infeasible) > 1
+    bound = [work._connect_stations(layout) for layout in infeasible]
     assert sum(np.isfinite(work._objective_of_layout(layout)) for layout in bound) > 1
     assert all(
         work.search_space.is_feasible(layout.setup_positions[None], layout.is_visible[None])[0] for layout in bound
@@ -144,7 +146,7 @@ def test_stations_that_share_too_little_are_bound_together(tmp_path: Path) -> No
     assert all(
         work.search_space.connectivity_scores(b.is_visible[None])
         > work.search_space.connectivity_scores(a.is_visible[None])
-        for a, b in zip(apart, bound, strict=True)
+        for a, b in zip(infeasible, bound, strict=True)
     )
 
 
@@ -155,21 +157,21 @@ def test_a_fixed_station_stays() -> None:
     assert made.yaws[0] == pytest.approx(where.survey.station_yaws[0])
 
 
-def test_an_obstacle_moves_the_plan_out_of_its_way(found) -> None:  # type: ignore[no-untyped-def]
+def test_an_obstacle_moves_the_plan_out_of_its_way(best_layout) -> None:  # type: ignore[no-untyped-def]
     """A machine at a station of the plan: nobody stands in it, everything is still in sight, at a price."""
     pillar = rotate_and_shift_triangles(
-        box_triangles(np.array([0.5, 0.5, 1.2])), np.array([*found.positions[0, :2], 0.0]), 0.0
+        box_triangles(np.array([0.5, 0.5, 1.2])), np.array([*best_layout.positions[0, :2], 0.0]), 0.0
     )
     where = site(obstacles=join_obstacles([pillar]))
     work = LayoutSearcher(where, grid_step=0.8, n_yaws=4, n_heights=1)
-    assert work.evaluate_layout(found.positions, found.yaws).objective_value == np.inf
+    assert work.evaluate_layout(best_layout.positions, best_layout.yaws).objective_value == np.inf
     made = work.search_from(4, 1)
     assert not join_obstacles([pillar]).is_setup_inside_body(made.positions).any()
     assert compute_visibility(
         made.positions, where.survey.target_points, where.sight_limits, obstacles=join_obstacles([pillar])
     ).is_visible.all()
     free = LayoutSearcher(site(), grid_step=0.8, n_yaws=4, n_heights=1).search_from(4, 1)
-    assert made.objective_value > 0.97 * min(free.objective_value, found.objective_value)
+    assert made.objective_value > 0.97 * min(free.objective_value, best_layout.objective_value)
 
 
 def test_sights_past_an_edge_hold_when_the_tripod_stands_off_its_place() -> None:
@@ -215,7 +217,7 @@ def test_fixed_nests_are_served_by_all_stations() -> None:
     )
 
 
-def test_targets_and_diagnosis_are_goals_of_their_own() -> None:
+def test_targets_and_diagnosis_are_separate_goals() -> None:
     where = site()
     effects = tuple(StationWeather(stations=(name,)) for name in where.survey.station_names)
     goals = {

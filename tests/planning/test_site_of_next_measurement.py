@@ -61,8 +61,8 @@ def measured(hall: Path) -> Recording:
     return lt.simulate(load_plan_and_scenario(hall)[1], seed=1).recording
 
 
-def stations_of(found: NextMeasurement) -> list[MeasurementProposalEntry]:
-    return [proposal for proposal in found.proposals if proposal.kind == "station"]
+def stations_of(measurement: NextMeasurement) -> list[MeasurementProposalEntry]:
+    return [proposal for proposal in measurement.proposals if proposal.kind == "station"]
 
 
 def is_permitted(place: tuple[float, float, float]) -> bool:
@@ -93,7 +93,7 @@ def test_new_stations_meet_the_floor_and_the_sights_of_the_site(hall: Path, meas
     assert any("targets in sight" in proposal.action for proposal in proposals)
 
 
-def test_one_proposal_per_place(measured: Recording) -> None:
+def test_a_single_proposal_per_place(measured: Recording) -> None:
     places = [proposal.position_mm for proposal in stations_of(lt.next_measurement(measured))]
     assert len(places) > 10 and len(set(places)) == len(places)
 
@@ -117,7 +117,7 @@ def test_a_recording_without_positions_and_common_points_is_refused(hall: Path, 
         lt.next_measurement(measured.replace(setup=setup, targets=renamed), site=hall)
 
 
-def with_stated_places(recording: Recording, shift_mm: float, yaw_deg: float) -> Recording:
+def with_declared_places(recording: Recording, shift_mm: float, yaw_deg: float) -> Recording:
     """Recording whose set-up states other positions of the stations."""
     stations = {
         name: station.model_copy(
@@ -135,13 +135,13 @@ def test_rounded_positions_of_stations_do_not_move_the_network_on_the_site(hall:
     """The adjusted targets place the network: rounded or missing positions of stations change no sight."""
     exact = {p.action for p in stations_of(lt.next_measurement(measured, site=hall))}
     bare = measured.replace(setup=measured.setup.model_copy(update={"stations": {}}))
-    for other in (with_stated_places(measured, 70.0, 1.0), bare):
+    for other in (with_declared_places(measured, 70.0, 1.0), bare):
         assert {p.action for p in stations_of(lt.next_measurement(other, site=hall))} == exact
 
 
 def test_a_site_in_other_axes_is_refused(hall: Path, measured: Recording, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"places station S1 at \(.*\) m, but .* place it at .*: the axes differ"):
-        lt.next_measurement(with_stated_places(measured, 3000.0, 0.0), site=hall)
+        lt.next_measurement(with_declared_places(measured, 3000.0, 0.0), site=hall)
     other = tmp_path / "other.toml"
     mirrored = "\n".join(
         f"x_mm = {9000 - int(line[7:])}" if line.startswith("x_mm") else line for line in HALL.splitlines()
@@ -151,7 +151,7 @@ def test_a_site_in_other_axes_is_refused(hall: Path, measured: Recording, tmp_pa
         lt.next_measurement(measured, site=other)
     renamed = measured.replace(targets=tuple(f"T{i}" for i in range(len(measured.targets))))
     with pytest.raises(InputError, match=r"no station of the recording stands on the permitted floor of .*: S1 is at"):
-        lt.next_measurement(with_stated_places(renamed, 30000.0, 0.0), site=hall)
+        lt.next_measurement(with_declared_places(renamed, 30000.0, 0.0), site=hall)
 
 
 def with_wrong_ball(recording: Recording, station: int, radius_difference: float) -> Recording:
@@ -175,12 +175,12 @@ def test_a_wrong_ball_does_not_move_the_network_on_the_site(
 
     wrong = with_wrong_ball(measured, 1, radius_difference)
     assert positions(wrong) == pytest.approx(positions(measured), abs=0.1)
-    found, expected = (lt.next_measurement(recording, site=hall) for recording in (wrong, measured))
-    places, expected_places = ({p.position_mm for p in stations_of(made)} for made in (found, expected))
+    proposals, expected = (lt.next_measurement(recording, site=hall) for recording in (wrong, measured))
+    places, expected_places = ({p.position_mm for p in stations_of(made)} for made in (proposals, expected))
     distances = np.linalg.norm(np.array([*places])[:, None] - np.array([*expected_places]), axis=2)
     assert len(places) == len(expected_places) and distances.min(axis=1).max() < 50.0
     assert not expected.tests and not expected.urgent_actions
-    (cause,) = found.tests
+    (cause,) = proposals.tests
     assert cause.where.stations == ("S2",) and cause.acts_on == "distance"
 
 

@@ -52,7 +52,7 @@ def test_every_verb_works_on_the_folder(made: Path, tmp_path: Path, monkeypatch)
     assert "machine (machine.stl, coordinates read as millimetres, z up): 2.5 x 1.5 x 2.2 m" in saved["bodies"][0]
 
 
-def test_points_are_told_to_the_micrometre_with_uncertainty_and_stations(made: Path) -> None:
+def test_points_are_reported_to_the_micrometre_with_uncertainty_and_stations(made: Path) -> None:
     nominal = list(csv.DictReader((made / "nominals.csv").read_text().splitlines()))
     assert any(row["y_mm"] == "60.123" for row in nominal)
     content = json.loads((made / "plan.json").read_text())
@@ -67,22 +67,24 @@ def test_points_are_told_to_the_micrometre_with_uncertainty_and_stations(made: P
 
 
 @pytest.mark.long
-def test_one_station_elsewhere_is_one_command(made: Path, tmp_path: Path, capsys) -> None:
+def test_a_station_at_another_place_is_a_single_command(made: Path, tmp_path: Path, capsys) -> None:
     assert run(["plan", str(made), "--without", "S2"]) == 0
     lost, *places, follows = capsys.readouterr().out.strip().splitlines()
     assert follows.startswith("To plan with the best of these positions: ltsim plan")
     assert lost.startswith(("- without S2: Not reached", "- without S2: Reached"))
     assert 1 <= len(places) <= 4
     assert all(line.startswith("- S2 at (") for line in places)
-    found = lt.station_alternatives(made, "S2")
+    alternatives = lt.station_alternatives(made, "S2")
     old = np.array(json.loads((made / "plan.json").read_text())["stations"][1]["position_mm"][:2]) / 1e3
-    assert all(np.linalg.norm(one.survey.station_positions[1, :2] - old) >= 2.0 for one in found[1:])
-    x, y, z = (1e3 * found[1].survey.station_positions[1]).tolist()
+    assert all(
+        np.linalg.norm(alternative.survey.station_positions[1, :2] - old) >= 2.0 for alternative in alternatives[1:]
+    )
+    x, y, z = (1e3 * alternatives[1].survey.station_positions[1]).tolist()
     out = str(tmp_path / "other")
     assert run(["plan", str(made), "--move", f"S2={x},{y},{z}", "--out", out, "--quiet"]) == 0
     content = json.loads((tmp_path / "other" / "plan.json").read_text())
     assert content["stations"][1]["position_mm"] == pytest.approx([x, y, z], abs=0.06)
-    assert content["summary"].split(":")[0] == found[1].verdict.split(":")[0]
+    assert content["summary"].split(":")[0] == alternatives[1].verdict.split(":")[0]
 
 
 @pytest.mark.parametrize(
@@ -94,10 +96,12 @@ def test_one_station_elsewhere_is_one_command(made: Path, tmp_path: Path, capsys
         (["--without", "S2", "--out", "there"], "--without lists positions"),
     ],
 )
-def test_what_is_wrong_is_one_sentence(given: list[str], sentence: str, made: Path, tmp_path, monkeypatch, capsys):
+def test_wrong_input_is_refused_in_a_sentence(
+    given: list[str], sentence: str, made: Path, tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     assert run(["plan", str(made), *given]) == 2
-    said = capsys.readouterr().err
-    assert sentence in said
-    assert said.count("\n") == 1
+    error_text = capsys.readouterr().err
+    assert sentence in error_text
+    assert error_text.count("\n") == 1
     assert not list(tmp_path.iterdir())

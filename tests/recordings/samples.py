@@ -54,20 +54,20 @@ def workshop(*, faces: int = 2, turn: np.ndarray | None = None) -> Recording:
     )
 
 
-def same(one: Recording, other: Recording, tolerance: float = 1e-12) -> None:
+def same(first: Recording, other: Recording, tolerance: float = 1e-12) -> None:
     """Assert that two recordings say the same."""
-    assert one.setup == other.setup
-    assert [one.stations[i] for i in one.station] == [other.stations[i] for i in other.station]
-    assert [one.targets[i] for i in one.target] == [other.targets[i] for i in other.target]
+    assert first.setup == other.setup
+    assert [first.stations[i] for i in first.station] == [other.stations[i] for i in other.station]
+    assert [first.targets[i] for i in first.target] == [other.targets[i] for i in other.target]
     for name in ("face", "repeat"):
-        assert np.array_equal(getattr(one, name), getattr(other, name)), name
-    assert one.has_clock == other.has_clock
-    np.testing.assert_array_equal(one.time, other.time)
-    np.testing.assert_allclose(one.readings, other.readings, rtol=tolerance, atol=tolerance)
-    assert one.covariates.keys() == other.covariates.keys()
-    for name, column in one.covariates.items():
+        assert np.array_equal(getattr(first, name), getattr(other, name)), name
+    assert first.has_clock == other.has_clock
+    np.testing.assert_array_equal(first.time, other.time)
+    np.testing.assert_allclose(first.readings, other.readings, rtol=tolerance, atol=tolerance)
+    assert first.covariates.keys() == other.covariates.keys()
+    for name, column in first.covariates.items():
         np.testing.assert_array_equal(column, other.covariates[name])
-    assert dict(one.labels) == dict(other.labels)
+    assert dict(first.labels) == dict(other.labels)
 
 
 def outcome(read: Callable[[], Recording]) -> Recording | str:

@@ -109,13 +109,13 @@ def test_setups_points_and_notes(tmp_path: Path) -> None:
     assert targets["HALL.P2."].datum
     assert targets["HALL.P4."].approximate_mm is None
     notes = " ".join(recording.notes)
-    for said in (
+    for note in (
         "2 lines are switched off",
         "*DVER is not supported: 1 lines are skipped",
         "*OBSXYZ observes 1 points in a separate frame (F): they are not used, because all of them are fixed",
         "*RS2K",
     ):
-        assert said in notes, said
+        assert note in notes, note
 
 
 @pytest.mark.parametrize(
@@ -141,9 +141,9 @@ def test_setups_points_and_notes(tmp_path: Path) -> None:
     ],
 )
 def test_wrong_files(tmp_path: Path, old: str, new: str, says: str) -> None:
-    found = outcome(lambda: read(sample(tmp_path / "a.lgc", old, new)))
-    assert isinstance(found, str)
-    assert says in found
+    result = outcome(lambda: read(sample(tmp_path / "a.lgc", old, new)))
+    assert isinstance(result, str)
+    assert says in result
 
 
 def test_a_cut_file(tmp_path: Path) -> None:
@@ -157,14 +157,14 @@ def misfit(recording: Recording, side: float) -> list[float]:
     """How far the targets of each station are from the coordinates in the file [m], azimuth one way or the other."""
     local = from_polar(recording.readings) * [1.0, side, 1.0]
     setups = [recording.target_setup(t) for t in recording.targets]
-    known = np.array([t.known_mm or t.approximate_mm or (np.nan,) * 3 for t in setups])[recording.target] / 1e3
-    found = []
+    points = np.array([t.known_mm or t.approximate_mm or (np.nan,) * 3 for t in setups])[recording.target] / 1e3
+    misfits = []
     for s in range(len(recording.stations)):
-        rows = (recording.station == s) & np.isfinite(local).all(axis=1) & np.isfinite(known).all(axis=1)
+        rows = (recording.station == s) & np.isfinite(local).all(axis=1) & np.isfinite(points).all(axis=1)
         if rows.sum() > 5:
-            rotation, shift = align_rigidly(local[rows], known[rows])
-            found.append(float(np.median(np.linalg.norm(local[rows] @ rotation.T + shift - known[rows], axis=1))))
-    return found
+            rotation, shift = align_rigidly(local[rows], points[rows])
+            misfits.append(float(np.median(np.linalg.norm(local[rows] @ rotation.T + shift - points[rows], axis=1))))
+    return misfits
 
 
 @pytest.mark.parametrize(
@@ -209,7 +209,7 @@ SEEN 10.003 0.002 1.003 1 2 3
 """
 
 
-def test_observed_coordinates_are_known_with_their_covariance(tmp_path: Path) -> None:
+def test_observed_coordinates_have_their_covariance(tmp_path: Path) -> None:
     file = tmp_path / "a.lgc"
     file.write_text(PLACED)
     recording = read(file)

@@ -27,16 +27,16 @@ def report():
 
 @pytest.mark.long
 def test_report_and_text_give_the_same_instrument(text, report):
-    one, other = (calibrate_network(r, recommend_measurements=False) for r in (text, report))
-    assert one.fit.status == other.fit.status == "converged"
+    calibration, other = (calibrate_network(r, recommend_measurements=False) for r in (text, report))
+    assert calibration.fit.status == other.fit.status == "converged"
     assert other.instruments == ("Leica AT960-930",)
-    assert np.all(np.abs(one.estimates - other.estimates) < 2.5 * one.sigma)
-    tilt = one.construction.parameter_index("beam-tilt")
-    assert one.estimates[0, tilt] > 4 * one.sigma[0, tilt]
+    assert np.all(np.abs(calibration.estimates - other.estimates) < 2.5 * calibration.sigma)
+    tilt = calibration.construction.parameter_index("beam-tilt")
+    assert calibration.estimates[0, tilt] > 4 * calibration.sigma[0, tilt]
 
 
 @pytest.mark.parametrize("number", [0, 1])
-def test_parameters_of_one_set_up_reduce_the_two_face_differences_of_the_other(text, number, tmp_path):
+def test_parameters_of_a_set_up_reduce_the_two_face_differences_of_the_other(text, number, tmp_path):
     write_calibration(calibrate_network(text.select(text.station == number), recommend_measurements=False), tmp_path)
     other = text.select(text.station != number)
     before = two_face_pairs(other)

@@ -59,13 +59,13 @@ def test_formats_are_recognised_by_content(files: dict[str, Path]) -> None:
 )
 def test_pointings_know_their_lines(name: str, files: dict[str, Path]) -> None:
     """Lines of the file on which the target of a pointing stands; OpenIndy's observations begin on it."""
-    found = read(files[name], hints=HINTS)
+    recording = read(files[name], hints=HINTS)
     lines = files[name].read_text(encoding="latin-1").splitlines()
-    for row in range(1, len(found) + 1):
-        told = re.search(r", lines? ([\d, ]+)\)$", found.row_text(row))
-        assert told is not None, found.row_text(row)
-        target = "<observation" if name == "openindy" else found.targets[found.target[row - 1]].split("/")[-1]
-        assert all(target in lines[int(number) - 1] for number in told[1].split(",")), found.row_text(row)
+    for row in range(1, len(recording) + 1):
+        match = re.search(r", lines? ([\d, ]+)\)$", recording.row_text(row))
+        assert match is not None, recording.row_text(row)
+        target = "<observation" if name == "openindy" else recording.targets[recording.target[row - 1]].split("/")[-1]
+        assert all(target in lines[int(number) - 1] for number in match[1].split(",")), recording.row_text(row)
 
 
 def test_unknown_things(tmp_path: Path) -> None:
@@ -89,7 +89,7 @@ def test_unknown_things(tmp_path: Path) -> None:
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
-def test_damage_gets_one_sentence(files: dict[str, Path], data: st.DataObject) -> None:
+def test_damage_is_refused_in_a_sentence(files: dict[str, Path], data: st.DataObject) -> None:
     name = data.draw(st.sampled_from([n for n in files if n != "native"]))
     whole = files[name].read_bytes()
     at = data.draw(st.integers(0, len(whole)))

@@ -43,24 +43,24 @@ def file_of(folder: Path, text: str | bytes, name: str = "a.csv") -> Path:
 
 def test_heights_and_sigmas_of_every_row_are_read(tmp_path: Path) -> None:
     """They were further columns: one staff at four heights was one target, and all of a day at second 0."""
-    found = read(file_of(tmp_path, SURVEY), hints=Hints(angle="deg", vertical="zenith"))
-    np.testing.assert_allclose(found.covariates["instrument_height_mm"], [1620, 1620, 1620, 1620, 1500])
-    np.testing.assert_allclose(found.covariates["target_height_mm"], [1700, 100, 1800, 200, 1650])
-    np.testing.assert_allclose(found.covariates["sigma_distance_mm"], [0.1, 0.1, 0.1, 0.1, 0.2])
-    np.testing.assert_allclose(found.covariates["sigma_azimuth_arcsec"], 1.08)
-    np.testing.assert_allclose(found.covariates["sigma_elevation_arcsec"], 1.08)
-    np.testing.assert_allclose(found.readings[0, 0], 327.6857)
-    assert not found.regressor_covariates.keys() & {"tohgt", "target_height_mm", "ha_error"}
-    assert not found.has_clock
-    assert found.labels["date"][0] == "2015-03-15"
-    said = "\n".join(found.notes)
-    assert "distances are interpreted as m ('fromhgt'" in said
-    assert "'date' contains dates without a time" in said
-    assert "3 occupations of 2 marks, distinguished by day, are separate set-ups" in said
-    assert "declares no noise" not in said
-    assert found.stations == ("A", "A#2", "B")
-    assert [found.station_setup(name).over for name in found.stations] == ["A", "A", "B"]
-    assert all(found.station_setup(name).levelled for name in found.stations)
+    recording = read(file_of(tmp_path, SURVEY), hints=Hints(angle="deg", vertical="zenith"))
+    np.testing.assert_allclose(recording.covariates["instrument_height_mm"], [1620, 1620, 1620, 1620, 1500])
+    np.testing.assert_allclose(recording.covariates["target_height_mm"], [1700, 100, 1800, 200, 1650])
+    np.testing.assert_allclose(recording.covariates["sigma_distance_mm"], [0.1, 0.1, 0.1, 0.1, 0.2])
+    np.testing.assert_allclose(recording.covariates["sigma_azimuth_arcsec"], 1.08)
+    np.testing.assert_allclose(recording.covariates["sigma_elevation_arcsec"], 1.08)
+    np.testing.assert_allclose(recording.readings[0, 0], 327.6857)
+    assert not recording.regressor_covariates.keys() & {"tohgt", "target_height_mm", "ha_error"}
+    assert not recording.has_clock
+    assert recording.labels["date"][0] == "2015-03-15"
+    notes = "\n".join(recording.notes)
+    assert "distances are interpreted as m ('fromhgt'" in notes
+    assert "'date' contains dates without a time" in notes
+    assert "3 occupations of 2 marks, distinguished by day, are separate set-ups" in notes
+    assert "declares no noise" not in notes
+    assert recording.stations == ("A", "A#2", "B")
+    assert [recording.station_setup(name).over for name in recording.stations] == ["A", "A", "B"]
+    assert all(recording.station_setup(name).levelled for name in recording.stations)
 
 
 def test_columns_names_heights_and_sigmas(tmp_path: Path) -> None:
@@ -69,10 +69,10 @@ def test_columns_names_heights_and_sigmas(tmp_path: Path) -> None:
         "station=A,target=B,horizontal=C[deg],zenith=D[deg],distance=E[mm],"
         "target_height_mm=F[m],sigma_azimuth_arcsec=G[cc]"
     )
-    found = read(file_of(tmp_path, text), hints=Hints(columns=wanted))
-    np.testing.assert_allclose(found.covariates["target_height_mm"], [1500, 1600])
-    np.testing.assert_allclose(found.covariates["sigma_azimuth_arcsec"], 0.972)
-    assert any("declares no noise" in note for note in found.notes)
+    recording = read(file_of(tmp_path, text), hints=Hints(columns=wanted))
+    np.testing.assert_allclose(recording.covariates["target_height_mm"], [1500, 1600])
+    np.testing.assert_allclose(recording.covariates["sigma_azimuth_arcsec"], 0.972)
+    assert any("declares no noise" in note for note in recording.notes)
 
 
 def test_a_distance_that_may_be_metres_is_asked_for(tmp_path: Path) -> None:
@@ -82,13 +82,13 @@ def test_a_distance_that_may_be_metres_is_asked_for(tmp_path: Path) -> None:
     assert read(file, hints=Hints(length="m")).readings[0, 0] == 327.5
 
 
-def places(path: Path, *, named: bool = True, one_frame: bool = False) -> Path:
+def places(path: Path, *, named: bool = True, single_frame: bool = False) -> Path:
     """The workshop as coordinates in each instrument's own axes."""
     r = workshop(faces=1)
     points = from_polar(r.readings) * 1e3
     rows = ["Setup;Name;X [mm];Y [mm];Z [mm];sX [mm];sY [mm];sZ [mm]"]
     for s, t, point in zip(r.station, r.target, points, strict=True):
-        shown = points[r.target == t][0] if one_frame else point
+        shown = points[r.target == t][0] if single_frame else point
         cells = [r.stations[s], r.targets[t], *(f"{v:.7f}".replace(".", ",") for v in shown), "0,02", "0,02", "0,02"]
         rows.append(";".join(cells[0 if named else 1 :]))
     path.write_text("\n".join(rows if named else [rows[0][6:], *rows[1:]]) + "\n")
@@ -96,19 +96,19 @@ def places(path: Path, *, named: bool = True, one_frame: bool = False) -> Path:
 
 
 def test_coordinates_of_each_station_become_readings(tmp_path: Path) -> None:
-    found = read(places(tmp_path / "a.csv"))
+    recording = read(places(tmp_path / "a.csv"))
     want = workshop(faces=1).readings
-    np.testing.assert_allclose(found.readings[:, [0, 2]], want[:, [0, 2]], atol=1e-9)
-    np.testing.assert_allclose(np.exp(1j * found.readings[:, 1]), np.exp(1j * want[:, 1]), atol=1e-9)
-    np.testing.assert_allclose(found.covariates["sigma_distance_mm"], 0.02)
+    np.testing.assert_allclose(recording.readings[:, [0, 2]], want[:, [0, 2]], atol=1e-9)
+    np.testing.assert_allclose(np.exp(1j * recording.readings[:, 1]), np.exp(1j * want[:, 1]), atol=1e-9)
+    np.testing.assert_allclose(recording.covariates["sigma_distance_mm"], 0.02)
     level = want[:, 0] * np.cos(want[:, 2])
-    np.testing.assert_allclose(found.covariates["sigma_azimuth_arcsec"], np.degrees(2e-5 / level) * 3600, rtol=1e-6)
+    np.testing.assert_allclose(recording.covariates["sigma_azimuth_arcsec"], np.degrees(2e-5 / level) * 3600, rtol=1e-6)
     np.testing.assert_allclose(
-        found.covariates["sigma_elevation_arcsec"], np.degrees(2e-5 / want[:, 0]) * 3600, rtol=1e-6
+        recording.covariates["sigma_elevation_arcsec"], np.degrees(2e-5 / want[:, 0]) * 3600, rtol=1e-6
     )
-    assert any("converted to distance, azimuth and elevation" in note for note in found.notes)
+    assert any("converted to distance, azimuth and elevation" in note for note in recording.notes)
     with pytest.raises(RecordError, match="thus in one frame; export them in the axes of each instrument"):
-        read(places(tmp_path / "b.csv", one_frame=True))
+        read(places(tmp_path / "b.csv", single_frame=True))
     rows = places(tmp_path / "c.csv", named=False).read_text().splitlines()[:7]
     list_ = file_of(tmp_path, "\n".join(rows) + "\n", "d.csv")
     with pytest.raises(RecordError, match=r"list of 6 points without instrument readings.*--hint station=NAME"):
@@ -117,23 +117,23 @@ def test_coordinates_of_each_station_become_readings(tmp_path: Path) -> None:
     assert (alone.stations, len(alone)) == (("S9",), 6)
 
 
-def test_a_network_of_coordinates_is_that_of_its_readings_and_one_sigma_serves_all_axes(tmp_path: Path) -> None:
+def test_a_network_of_coordinates_is_that_of_its_readings_and_a_single_sigma_serves_all_axes(tmp_path: Path) -> None:
     rows = places(tmp_path / "a.csv").read_text().splitlines()
     once = [row.rsplit(";", 2)[0] for row in rows]
     once[0] = once[0].replace("sX", "sigma")
-    found = lt.adjust(read(file_of(tmp_path, "\n".join(once) + "\n", "b.csv")))
+    adjustment = lt.adjust(read(file_of(tmp_path, "\n".join(once) + "\n", "b.csv")))
     whole = lt.adjust(read(tmp_path / "a.csv"))
-    assert found.fit.chi2 == pytest.approx(whole.fit.chi2, rel=1e-9)
+    assert adjustment.fit.chi2 == pytest.approx(whole.fit.chi2, rel=1e-9)
     r = workshop(faces=1)
     range_, elevation = r.readings[:, 0], r.readings[:, 2]
     sigma = 2e-5 * np.stack([np.ones(len(r)), 1 / (range_ * np.cos(elevation)), 1 / range_], axis=1)
     polar = adjust(r, sigma=sigma)
-    np.testing.assert_allclose(found.adjustment.state.target_points, polar.state.target_points, atol=1e-8)
+    np.testing.assert_allclose(adjustment.adjustment.state.target_points, polar.state.target_points, atol=1e-8)
     folder = tmp_path / "folder"
     folder.mkdir()
     for name in r.stations:
-        own = [row.split(";")[1:5] for row in rows if row.startswith(f"{name};")]
-        (folder / f"{name}.txt").write_text("".join(" ".join(cells).replace(",", ".") + "\n" for cells in own))
+        lines = [row.split(";")[1:5] for row in rows if row.startswith(f"{name};")]
+        (folder / f"{name}.txt").write_text("".join(" ".join(cells).replace(",", ".") + "\n" for cells in lines))
     with pytest.raises(RecordError) as refused:
         read(folder)
     asked = str(refused.value).partition('--columns "')[2].rstrip('"')
@@ -145,14 +145,14 @@ def test_a_network_of_coordinates_is_that_of_its_readings_and_one_sigma_serves_a
 def test_names_that_differ_by_set_up(tmp_path: Path) -> None:
     rows = [f"{s},{n},{10 * i},{5 + i},3000" for s in ("S1", "S2") for i, n in enumerate(("a", "b", "c"))]
     head = "Station,Point,Az[deg],El[deg],D[mm]\n"
-    own = "\n".join(f"{row[:3]}{row[:2]}_{row[3:]}" for row in rows)
-    found = read(file_of(tmp_path, head + own + "\n"))
-    assert found.targets == ("a", "b", "c")
-    assert any("removed from the names of its targets: 'S1_a' is 'a'" in note for note in found.notes)
+    text = "\n".join(f"{row[:3]}{row[:2]}_{row[3:]}" for row in rows)
+    recording = read(file_of(tmp_path, head + text + "\n"))
+    assert recording.targets == ("a", "b", "c")
+    assert any("removed from the names of its targets: 'S1_a' is 'a'" in note for note in recording.notes)
     other = "S1,P 01,1,5,3000\nS1,P2,2,5,3000\nS2,p1,1,6,3000\nS2,P02,2,5,3000\n"
-    found = read(file_of(tmp_path, head + other))
-    assert found.targets == ("P 01", "P2")
-    assert any("are the same target: 'p1' and 'P 01'" in note for note in found.notes)
+    recording = read(file_of(tmp_path, head + other))
+    assert recording.targets == ("P 01", "P2")
+    assert any("are the same target: 'p1' and 'P 01'" in note for note in recording.notes)
     both = "S1,P1,1,5,3000\nS1,P01,2,5,3000\nS2,P1,1,6,3000\n"
     assert read(file_of(tmp_path, head + both)).targets == ("P1", "P01")
 
@@ -161,8 +161,8 @@ def test_blocks_with_broken_cells_keep_what_they_hold(tmp_path: Path) -> None:
     """A KeyError where a later block had further columns."""
     head = "Point;Face;Hz [deg];Z [deg];D [mm];T [C]"
     text = f"Station: S1\n{head}\nP1;1;10;80;3000;#REF!\nStation: S2\n{head};Op\nP1;1;15;81;3000;#REF!;x\n"
-    found = read(file_of(tmp_path, text))
-    assert found.labels == {"T [C]": ("#REF!", "#REF!"), "Op": ("", "x")}
+    recording = read(file_of(tmp_path, text))
+    assert recording.labels == {"T [C]": ("#REF!", "#REF!"), "Op": ("", "x")}
     with pytest.raises(RecordError, match="row 5: the columns differ from those of earlier headers"):
         read(file_of(tmp_path, text.replace(f"{head};Op", f"{head};Op".replace("[deg]", "[gon]"))))
 
@@ -191,15 +191,15 @@ def test_blocks_with_broken_cells_keep_what_they_hold(tmp_path: Path) -> None:
 def test_lists_of_coordinates(
     tmp_path: Path, content: str | bytes, name: str, places: list, sigma: list | None
 ) -> None:
-    found = read_points(file_of(tmp_path, content))
-    assert found.names[0] == name
-    np.testing.assert_allclose(found.points[0], places)
-    np.testing.assert_allclose(found.coordinate_sigmas[0], sigma or [np.nan] * 3)
+    points = read_points(file_of(tmp_path, content))
+    assert points.names[0] == name
+    np.testing.assert_allclose(points.points[0], places)
+    np.testing.assert_allclose(points.coordinate_sigmas[0], sigma or [np.nan] * 3)
 
 
 def test_a_point_in_another_row_is_grouped_as_its_list_groups(tmp_path: Path) -> None:
-    found = read_points(file_of(tmp_path, "Name;X [mm];Y [mm];Z [mm]\nA;7.000,5;1;2\nB;8.000;2;3\n"))
-    assert found.coordinates_by_name["B"][0] == 8.0
+    points = read_points(file_of(tmp_path, "Name;X [mm];Y [mm];Z [mm]\nA;7.000,5;1;2\nB;8.000;2;3\n"))
+    assert points.coordinates_by_name["B"][0] == 8.0
     with pytest.raises(RecordError, match="contains numbers written as"):
         read_points(file_of(tmp_path, "Name;X [mm];Y [mm];Z [mm]\nA;7.000,5;1;2\nB;8,000.5;2;3\n"))
 
@@ -214,9 +214,9 @@ def test_a_point_in_another_row_is_grouped_as_its_list_groups(tmp_path: Path) ->
         ("name,x_mm,y_mm,z_mm\nA,1,2,3,4\n", "5 fields, expected 4 as in the header"),
     ],
 )
-def test_wrong_lists_get_one_sentence(tmp_path: Path, content: str, says: str) -> None:
-    found = outcome(lambda: read_points(file_of(tmp_path, content)))  # type: ignore[arg-type]
-    assert isinstance(found, str) and says in found, found
+def test_wrong_lists_are_refused_in_a_sentence(tmp_path: Path, content: str, says: str) -> None:
+    result = outcome(lambda: read_points(file_of(tmp_path, content)))  # type: ignore[arg-type]
+    assert isinstance(result, str) and says in result, result
 
 
 def packed(base: Path, path: Path, part: str, change: Callable[[bytes], bytes]) -> Path:
@@ -262,17 +262,19 @@ def packed(base: Path, path: Path, part: str, change: Callable[[bytes], bytes]) 
         ),
     ],
 )
-def test_workbooks_are_bounded_and_told(tmp_path: Path, part: str, change: Callable[[bytes], bytes], says: str) -> None:
+def test_workbooks_are_bounded_and_reported(
+    tmp_path: Path, part: str, change: Callable[[bytes], bytes], says: str
+) -> None:
     """Tracebacks, 3.3 GB and 24 s for one cell far away, files that stay open."""
     file = packed(tables.workbook(tmp_path / "a.xlsx"), tmp_path / "b.xlsx", part, change)
     gc.disable()
     try:
-        found = outcome(lambda: read(file))
-        buffers = [one for one in gc.get_objects() if isinstance(one, io.BufferedReader) and one.name == str(file)]
+        result = outcome(lambda: read(file))
+        buffers = [item for item in gc.get_objects() if isinstance(item, io.BufferedReader) and item.name == str(file)]
     finally:
         gc.enable()
-    assert isinstance(found, str) and says in found, found
-    assert all(one.closed for one in buffers)
+    assert isinstance(result, str) and says in result, result
+    assert all(item.closed for item in buffers)
 
 
 def test_numbers_of_thousands_of_digits_and_keys_with_brackets(tmp_path: Path) -> None:
@@ -284,37 +286,37 @@ def test_numbers_of_thousands_of_digits_and_keys_with_brackets(tmp_path: Path) -
 
 
 def test_recordings_are_copied_pickled_and_compared() -> None:
-    one = workshop()
-    holed = one.with_readings(np.where(np.arange(72).reshape(24, 3) % 7 == 3, np.nan, one.readings))
-    for recording in (one, holed):
+    hall = workshop()
+    holed = hall.with_readings(np.where(np.arange(72).reshape(24, 3) % 7 == 3, np.nan, hall.readings))
+    for recording in (hall, holed):
         for other in (pickle.loads(pickle.dumps(recording)), copy.deepcopy(recording), recording.replace()):
             assert other == recording
             assert hash(other) == hash(recording)
-    assert one != holed
-    assert one != one.replace(covariates={"load": np.zeros(24)})
-    assert one != "a recording"
+    assert hall != holed
+    assert hall != hall.replace(covariates={"load": np.zeros(24)})
+    assert hall != "a recording"
 
 
-def test_a_mirrored_hall_and_a_mirrored_station_are_told() -> None:
+def test_a_mirrored_hall_and_a_mirrored_station_are_reported() -> None:
     """Both passed without a word: lengths and faces agree in the mirror image."""
-    one = workshop()
+    hall = workshop()
     stations = {
         name: Station(position_mm=tuple((POSITIONS[i] * 1e3).round(-2)), yaw_deg=round(np.degrees(YAWS[i])))
-        for i, name in enumerate(one.stations)
+        for i, name in enumerate(hall.stations)
     }
-    one = one.replace(setup=one.setup.model_copy(update={"stations": stations}))
-    assert not mirror_image_warnings(one)
-    mirrored = mirror_image_warnings(one.with_readings(one.readings * [1.0, -1.0, 1.0]))
+    hall = hall.replace(setup=hall.setup.model_copy(update={"stations": stations}))
+    assert not mirror_image_warnings(hall)
+    mirrored = mirror_image_warnings(hall.with_readings(hall.readings * [1.0, -1.0, 1.0]))
     assert len(mirrored) == 1 and "only the mirror image of the readings: if the azimuths run clockwise" in mirrored[0]
-    second = np.where((one.station == 1)[:, None], [1.0, -1.0, 1.0], 1.0)
-    found = mirror_image_warnings(workshop().with_readings(one.readings * second))
-    assert found == (
+    second = np.where((hall.station == 1)[:, None], [1.0, -1.0, 1.0], 1.0)
+    notes = mirror_image_warnings(workshop().with_readings(hall.readings * second))
+    assert notes == (
         "the targets of S1 and S2 fit each other only as mirror images: the azimuths of one of these stations "
         "run clockwise",
     )
 
 
-def test_a_native_recording_is_turned_over_when_told(tmp_path: Path) -> None:
+def test_a_native_recording_is_mirrored_on_request(tmp_path: Path) -> None:
     from ltsim.recordings import write
 
     write(workshop(), tmp_path / "rec")

@@ -29,7 +29,7 @@ def with_wrong_face(recording: Recording, error: WrongColumnConversion, face: in
 
 @pytest.mark.parametrize("face", [1, 2])
 @pytest.mark.parametrize("error", UNIT_AND_CONVENTION_ERRORS, ids=lambda error: error.name)
-def test_the_unit_of_a_face_is_found_at_one_station(error: WrongColumnConversion, face: int) -> None:
+def test_the_unit_of_a_face_is_detected_at_a_single_station(error: WrongColumnConversion, face: int) -> None:
     recording, _ = network(faces=2, seed=4)
     corrected, findings = correct_units(with_wrong_face(recording, error, face, [2]))
     np.testing.assert_allclose(corrected.readings[:, 0], recording.readings[:, 0], rtol=1e-12)
@@ -40,7 +40,7 @@ def test_the_unit_of_a_face_is_found_at_one_station(error: WrongColumnConversion
 
 
 @pytest.mark.parametrize("name", ["metre", "gon", "gon-azimuth", "degree-azimuth", "zenith", "radian"])
-def test_the_unit_of_a_face_is_found_at_all_stations(name: str) -> None:
+def test_the_unit_of_a_face_is_detected_at_all_stations(name: str) -> None:
     recording, _ = network(faces=2, seed=4)
     everywhere = list(range(len(recording.stations)))
     (error,) = face_unit_errors(with_wrong_face(recording, ERRORS[name], 2, everywhere))

@@ -74,20 +74,20 @@ def test_a_network_is_understood(tmp_path: Path) -> None:
 
 
 def test_a_whole_description_is_no_title(tmp_path: Path) -> None:
-    told = read(sample(tmp_path / "n.gkf", "A yard, two", "A yard, two " + 40 * "of many words "))
-    assert len(told.setup.title) <= 120
-    assert told.setup.title.startswith("A yard, two of many words")
-    assert told.setup.title.endswith(" ...")
+    recording = read(sample(tmp_path / "n.gkf", "A yard, two", "A yard, two " + 40 * "of many words "))
+    assert len(recording.setup.title) <= 120
+    assert recording.setup.title.startswith("A yard, two of many words")
+    assert recording.setup.title.endswith(" ...")
 
 
-def test_names_with_a_slash_are_kept_apart(tmp_path: Path) -> None:
+def test_names_with_a_slash_stay_separate(tmp_path: Path) -> None:
     """The offset marks of a point, 12/1 and 12/2, beside a point whose name one of them would take."""
     (tmp_path / "n.gkf").write_text(SAMPLE.replace('"A"', '"12/1"').replace('"B"', '"12_1"'))
-    said = read(tmp_path / "n.gkf")
-    assert said.stations == ("12_1_", "12_1_#2", "D")
-    assert {"12_1_", "12_1"} < set(said.targets)
-    np.testing.assert_array_equal(said.readings, read(sample(tmp_path / "m.gkf")).readings)
-    assert "'/' in names of points is written '_': 12_1_" in said.notes
+    recording = read(tmp_path / "n.gkf")
+    assert recording.stations == ("12_1_", "12_1_#2", "D")
+    assert {"12_1_", "12_1"} < set(recording.targets)
+    np.testing.assert_array_equal(recording.readings, read(sample(tmp_path / "m.gkf")).readings)
+    assert "'/' in names of points is written '_': 12_1_" in recording.notes
 
 
 def test_points_heights_and_lengths(tmp_path: Path) -> None:
@@ -104,10 +104,15 @@ def test_points_heights_and_lengths(tmp_path: Path) -> None:
     (length,) = recording.gauge.distance
     assert (length.from_, length.to, length.length_mm, length.sigma_mm) == ("B", "C", 7000, 1.5)
     notes = " ".join(recording.notes)
-    (apart,) = recording.setup.differences
-    assert (apart.label, apart.known_mm, apart.known_sigma_mm, apart.known_axes) == ("A-B", (0, 0, 1000), 1, "z")
-    for said in ("left-handed system", "sigma-apr is 2"):
-        assert said in notes
+    (difference,) = recording.setup.differences
+    assert (difference.label, difference.known_mm, difference.known_sigma_mm, difference.known_axes) == (
+        "A-B",
+        (0, 0, 1000),
+        1,
+        "z",
+    )
+    for note in ("left-handed system", "sigma-apr is 2"):
+        assert note in notes
 
 
 def test_observed_coordinates_and_covariances(tmp_path: Path) -> None:
@@ -150,9 +155,9 @@ def test_observed_coordinates_and_covariances(tmp_path: Path) -> None:
     ],
 )
 def test_wrong_networks(tmp_path: Path, old: str, new: str, says: str) -> None:
-    found = outcome(lambda: read(sample(tmp_path / "n.gkf", old, new)))
-    assert isinstance(found, str)
-    assert says in found
+    result = outcome(lambda: read(sample(tmp_path / "n.gkf", old, new)))
+    assert isinstance(result, str)
+    assert says in result
 
 
 @pytest.mark.parametrize(
@@ -169,9 +174,9 @@ def test_entities_are_refused_at_once(tmp_path: Path, attack: str) -> None:
     file = tmp_path / "n.gkf"
     body = SAMPLE.replace("A yard", "&j;").partition("?>")[2]
     file.write_text(f'<?xml version="1.0"?>{attack}{body}')
-    found = outcome(lambda: read(file, format="gama-local"))
-    assert isinstance(found, str)
-    assert "entit" in found or "not well-formed" in found
+    result = outcome(lambda: read(file, format="gama-local"))
+    assert isinstance(result, str)
+    assert "entit" in result or "not well-formed" in result
 
 
 def test_deep_nesting(tmp_path: Path) -> None:
@@ -202,21 +207,21 @@ def levelled(recording: Recording, **changes: object) -> Recording:
     return recording.replace(setup=Setup(title="yard & <hall>", stations=stations, **changes))
 
 
-def agree(one: Recording, other: Recording) -> None:
+def agree(first: Recording, other: Recording) -> None:
     """The same pointings in the same order within each station, to rounding."""
 
     def rows(r: Recording) -> list[tuple]:
         over = [r.station_setup(s).over for s in r.stations]
         return [(over[r.station[i]], r.targets[r.target[i]]) for i in range(len(r))]
 
-    assert rows(one) == rows(other)
-    np.testing.assert_allclose(one.readings[:, [0, 2]], other.readings[:, [0, 2]], atol=1e-12, rtol=1e-12)
-    turn = np.mod(one.readings[:, 1] - other.readings[:, 1] + 1, 2 * np.pi) - 1
+    assert rows(first) == rows(other)
+    np.testing.assert_allclose(first.readings[:, [0, 2]], other.readings[:, [0, 2]], atol=1e-12, rtol=1e-12)
+    turn = np.mod(first.readings[:, 1] - other.readings[:, 1] + 1, 2 * np.pi) - 1
     np.testing.assert_allclose(turn[np.isfinite(turn)], 0, atol=1e-12)
-    assert np.array_equal(one.is_measured, other.is_measured)
-    ratio = one.reading_sigmas() / other.reading_sigmas()
-    np.testing.assert_allclose(ratio[one.is_measured], 1, rtol=1e-12)
-    for mine, theirs in zip(one.heights_above_marks(), other.heights_above_marks(), strict=True):
+    assert np.array_equal(first.is_measured, other.is_measured)
+    ratio = first.reading_sigmas() / other.reading_sigmas()
+    np.testing.assert_allclose(ratio[first.is_measured], 1, rtol=1e-12)
+    for mine, theirs in zip(first.heights_above_marks(), other.heights_above_marks(), strict=True):
         np.testing.assert_allclose(mine, theirs, atol=1e-12)
 
 
@@ -306,17 +311,17 @@ def test_a_network_in_plan_keeps_to_its_plan(tmp_path: Path) -> None:
         '<obs from="B"><direction to="C" val="379.517" /><direction to="D" val="333.050" />'
         '<distance to="C" val="63.2456" /><distance to="D" val="80.6226" /></obs>'
     )
-    stated = 'direction-stdev="6" distance-stdev="1" zenith-angle-stdev="50"'
-    text = f"{HEAD}<network><points-observations {stated}>{body}</points-observations></network></gama-local>\n"
+    attributes = 'direction-stdev="6" distance-stdev="1" zenith-angle-stdev="50"'
+    text = f"{HEAD}<network><points-observations {attributes}>{body}</points-observations></network></gama-local>\n"
     (tmp_path / "a.gkf").write_text(text)
-    found = read(tmp_path / "a.gkf")
-    assert len(found) == 4 and not found.is_measured[:, 2].any() and found.is_horizontal_distance[1]
-    targets = found.setup.targets
+    recording = read(tmp_path / "a.gkf")
+    assert len(recording) == 4 and not recording.is_measured[:, 2].any() and recording.is_horizontal_distance[1]
+    targets = recording.setup.targets
     assert [targets[name].known_axes for name in "ABC"] == ["xyz", "z", "z"]
     assert (targets["B"].datum, targets["B"].datum_axes, targets["B"].height_mm) == (True, "xy", 0.0)
-    assert any("4 points are adjusted in plan only" in note for note in found.notes)
-    assert any("1 observations that need heights are left out, as Gama does" in note for note in found.notes)
-    solved = adjust(found)
-    place = dict(zip(found.targets, solved.state.target_points, strict=True))
+    assert any("4 points are adjusted in plan only" in note for note in recording.notes)
+    assert any("1 observations that need heights are left out, as Gama does" in note for note in recording.notes)
+    solved = adjust(recording)
+    place = dict(zip(recording.targets, solved.state.target_points, strict=True))
     assert np.linalg.norm(place["D"] - place["C"]) == pytest.approx(np.hypot(20.0, 50.0), abs=2e-3)
     assert [place[name][2] for name in "CD"] == pytest.approx([0.0, 0.0], abs=1e-6)

@@ -90,9 +90,9 @@ def test_missing_and_horizontal(tmp_path: Path) -> None:
 )
 def test_wrong_files(tmp_path: Path, old: str, new: str, says: str) -> None:
     assert old in GSI16
-    found = outcome(lambda: read(gsi(tmp_path / "n.gsi", GSI16.replace(old, new, 1)), format="gsi"))
-    assert isinstance(found, str)
-    assert says in found
+    result = outcome(lambda: read(gsi(tmp_path / "n.gsi", GSI16.replace(old, new, 1)), format="gsi"))
+    assert isinstance(result, str)
+    assert says in result
 
 
 def test_a_cut_file(tmp_path: Path) -> None:
@@ -102,8 +102,8 @@ def test_a_cut_file(tmp_path: Path) -> None:
     assert len(read(gsi(tmp_path / "n.gsi", again))) == 3
     for cut in range(len(GSI16) - 1):
         file = gsi(tmp_path / "n.gsi", GSI16[:cut])
-        found = outcome(lambda: read(file, format="gsi"))  # noqa: B023
-        assert isinstance(found, str) or GSI16[cut - 1] == "\n" or GSI16[cut] == "\n"
+        result = outcome(lambda: read(file, format="gsi"))  # noqa: B023
+        assert isinstance(result, str) or GSI16[cut - 1] == "\n" or GSI16[cut] == "\n"
 
 
 def test_a_real_file() -> None:

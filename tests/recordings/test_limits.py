@@ -69,9 +69,7 @@ def test_a_string_of_toml_that_is_not_closed_is_looked_at_once(quotes: str) -> N
 @pytest.mark.parametrize(
     ("quotes", "content"), [('"""', '\\"""x'), ("'''", "''x"), ('"', '\\"x'), ("'", '"x'), ('"""', '"x'), ('"""', "\\")]
 )
-def test_a_string_of_toml_that_is_not_closed_is_one_token_without_memory_of_its_parts(
-    quotes: str, content: str
-) -> None:
+def test_an_unclosed_toml_string_is_a_single_token_without_memory_of_its_parts(quotes: str, content: str) -> None:
     """Without its optional end it was 10,000 tokens, each looked at to the end; with backtracking it took 5 MB."""
     text = f"a = {quotes}" + content * 10_000
     tracemalloc.start()
@@ -210,15 +208,15 @@ def test_every_reader_takes_the_line_ends_of_the_old_macintosh(tmp_path: Path) -
         assert read_lines(tmp_path / "a.csv") == ["name,x,y,z", "P1,1,2,3", "P2,4,5,6", ""]
 
 
-def test_columns_of_one_title_are_told_apart_and_refused_where_a_title_is_a_key(tmp_path: Path) -> None:
+def test_columns_of_equal_title_are_distinguished_and_refused_where_a_title_is_a_key(tmp_path: Path) -> None:
     row = "T{i},{a},{z},{z},{d}\n"
     for station in ("S1", "S2"):
         rows = [row.format(i=i, a=10 * i, z=80 + i, d=5000 + i) for i in range(6)]
         head = "Name,Hz[deg],Zenith[deg],Zenith[deg],D[mm]\n" if station == "S2" else None
         text = (head or "Name,Hz[deg],Zenith[deg],Note,D[mm]\n") + "".join(rows)
         (tmp_path / f"{station}.csv").write_text(text)
-    found = read(tmp_path)
-    assert np.isfinite(found.covariates["Zenith[deg] (2)"][6:]).all()
+    recording = read(tmp_path)
+    assert np.isfinite(recording.covariates["Zenith[deg] (2)"][6:]).all()
     (tmp_path / "table").write_text("name,value,value\na,1,2\n")
     with pytest.raises(RecordError, match="column value: this column appears twice"):
         read_small_table(tmp_path / "table")
@@ -346,10 +344,10 @@ def test_20000_rows_are_converted_by_column(tmp_path: Path) -> None:
     few, many = monitoring(500, tmp_path / "few.csv"), monitoring(20_500, tmp_path / "many.csv")
     read(few)  # modules are loaded now
     assert (calls(lambda: read(many)) - calls(lambda: read(few))) / 20_000 < 60
-    found = read(many)
-    assert len(found) == 20_500
-    assert found.repeat.max() == 6
-    assert found.covariates["temperature"][500] == 20.1
+    recording = read(many)
+    assert len(recording) == 20_500
+    assert recording.repeat.max() == 6
+    assert recording.covariates["temperature"][500] == 20.1
 
 
 def test_headers_of_a_table_are_bounded(tmp_path: Path) -> None:
@@ -453,7 +451,7 @@ def test_diagnosis_of_1500_pointings_with_several_causes_takes_500_mb_and_30_s(e
 
 
 @pytest.mark.long
-def test_report_of_a_large_recording_takes_100_mb_more_than_of_a_small_one(tmp_path: Path) -> None:
+def test_report_of_a_large_recording_takes_at_most_100_mb_more_than_of_a_small_recording(tmp_path: Path) -> None:
     """The 3D view takes 480 MB whatever it shows."""
     peaks = [
         means(VERB, "report", str(noisy_monitoring(rows, tmp_path / str(rows)))).ru_maxrss
@@ -532,12 +530,12 @@ def test_a_recording_with_too_many_pointings_is_refused_with_the_way_to_thin_it(
     assert len(lt.adjust(thinned).target_names) == 28
 
 
-def test_a_check_of_one_set_up_with_too_many_pointings_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_check_of_a_single_set_up_with_too_many_pointings_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys.modules["ltsim.adjustment.fieldcheck.check"], "MAX_ADJUSTED_POINTINGS", 20)
     recording, _ = lt.simulate("paper-workshop", seed=7)
-    one = recording.select(recording.station == 0)
-    with pytest.raises(NetworkError, match=rf"holds {len(one)} pointings; a check takes at most 20"):
-        check(one)
+    set_up = recording.select(recording.station == 0)
+    with pytest.raises(NetworkError, match=rf"holds {len(set_up)} pointings; a check takes at most 20"):
+        check(set_up)
 
 
 def test_the_environment_raises_the_largest_number_of_pointings(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -580,7 +578,7 @@ def test_many_effects_of_many_pointings_are_refused_before_the_work(
     assert lt.calibrate(recording, with_effects=effects).effects
 
 
-def test_thinning_keeps_the_first_of_each_sight_and_then_one_of_so_many() -> None:
+def test_thinning_retains_the_first_of_each_sight_and_then_regular_samples() -> None:
     recording, _ = lt.simulate("paper-workshop", seed=7)
     whole = recording.select(np.tile(np.arange(len(recording)), 5))
     thinned = whole.thin(2)

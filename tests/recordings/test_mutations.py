@@ -45,11 +45,11 @@ def texts(folder: Path) -> list[tuple[str, bytes, Callable[[Path], object]]]:
         tables.english, tables.german, tables.blanks, tables.sexagesimal, tables.two_faces_a_row, tables.blocks,
         tables.unnamed, report.report,
     ]  # fmt: skip
-    found = [(f"{i}.csv", make(folder / f"{i}.csv").read_bytes(), read) for i, make in enumerate(made)]
+    samples = [(f"{i}.csv", make(folder / f"{i}.csv").read_bytes(), read) for i, make in enumerate(made)]
     write(workshop(), folder / "native")
     write(workshop(), folder / "p.txt", "polar-text")
     return [
-        *found,
+        *samples,
         ("utf16.txt", tables.utf16(folder / "utf16.txt").read_bytes(), read),
         ("polar.txt", (folder / "p.txt").read_bytes(), read),
         ("observations.csv", (folder / "native" / "observations.csv").read_bytes(), read),
@@ -106,12 +106,12 @@ def mutated_workbook(content: bytes, rng: np.random.Generator) -> bytes:
 
 def check(read_: Callable[[Path], object], path: Path) -> None:
     """It is read, or refused in one line."""
-    said = "read"
+    outcome = "read"
     try:
         read_(path)
     except LtsimError as problem:
-        said = str(problem)
-    assert said.strip() and "\n" not in said, path
+        outcome = str(problem)
+    assert outcome.strip() and "\n" not in outcome, path
 
 
 def survive(count: int, tmp_path: Path, seed: int) -> None:

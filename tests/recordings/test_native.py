@@ -68,7 +68,7 @@ def test_written_and_read_back(folder: Path) -> None:
     same(workshop(), read_recording(folder / "observations.csv"))
 
 
-def test_unknown_columns_are_kept(folder: Path) -> None:
+def test_unknown_columns_stay(folder: Path) -> None:
     path = folder / "observations.csv"
     lines = path.read_text().splitlines()
     extra = ["air_temperature_c,load,operator,distance_mode"]
@@ -86,8 +86,8 @@ def test_columns_in_any_order_and_optional_ones_absent(folder: Path) -> None:
     path = folder / "observations.csv"
     lines = [line.split(",") for line in path.read_text().splitlines()]
     drop = [lines[0].index(name) for name in ("repeat", "time_s")]
-    kept = [[c for i, c in enumerate(cells) if i not in drop][::-1] for cells in lines]
-    path.write_text("\ufeff" + "\r\n".join(",".join(cells) for cells in kept) + "\r\n", encoding="utf-8")
+    reordered = [[c for i, c in enumerate(cells) if i not in drop][::-1] for cells in lines]
+    path.write_text("\ufeff" + "\r\n".join(",".join(cells) for cells in reordered) + "\r\n", encoding="utf-8")
     recording = read_recording(folder)
     assert not recording.has_clock
     assert list(recording.time[:3]) == [0.0, 1.0, 2.0]
@@ -222,7 +222,7 @@ def test_face_two_reduced(folder: Path) -> None:
     assert "expected raw encoder readings" in refusal(folder)
 
 
-def test_one_reading_on_the_wrong_face_is_kept(folder: Path) -> None:
+def test_a_single_reading_on_the_wrong_face_stays(folder: Path) -> None:
     set_cell(folder, 1, "face", "2")
     assert read_recording(folder).face[0] == 2
 
@@ -320,12 +320,12 @@ def test_cut_files_never_pass_silently(folder: Path, tmp_path: Path) -> None:
     content = (folder / "observations.csv").read_bytes()
     for cut in range(len(content)):
         (folder / "observations.csv").write_bytes(content[:cut])
-        found = outcome(lambda: read_recording(folder))
-        if isinstance(found, str):
-            assert re.search(r"incomplete|empty|only a header|never measured|CSV", found), found
+        result = outcome(lambda: read_recording(folder))
+        if isinstance(result, str):
+            assert re.search(r"incomplete|empty|only a header|never measured|CSV", result), result
         else:
             assert content[:cut].endswith(b"\n")
-            assert len(found) == content[:cut].count(b"\n") - 1
+            assert len(result) == content[:cut].count(b"\n") - 1
 
 
 def test_cut_setups_never_crash(folder: Path) -> None:
@@ -442,7 +442,7 @@ def test_any_setup_survives(tmp_path: Path, setup: Setup) -> None:
 
 @settings(max_examples=60, deadline=None, suppress_health_check=NO_FIXTURE_CHECK)
 @given(data=st.data())
-def test_damaged_files_get_one_sentence(folder: Path, data: st.DataObject) -> None:
+def test_damaged_files_are_refused_in_a_sentence(folder: Path, data: st.DataObject) -> None:
     file = folder / data.draw(st.sampled_from(["observations.csv", "setup.toml"]))
     whole = file.read_bytes()
     at = data.draw(st.integers(0, len(whole)))
@@ -462,16 +462,16 @@ def test_printed_digits_stay(folder: Path) -> None:
     assert ",4066.092554" in (folder / "observations.csv").read_text()
 
 
-def test_what_a_setup_says_of_points_that_nobody_measured_is_told(folder: Path) -> None:
+def test_setup_entries_of_unmeasured_points_are_reported(folder: Path) -> None:
     setup = folder / "setup.toml"
-    said = '\n[stations.S1]\nover = "T11"\n\n[targets.NOPE]\ndatum = true\n\n[targets.T0]\nknown_mm = [1.0, 2.0, 3.0]\n'
-    setup.write_text(f"{setup.read_text()}{said}\n[stations.s1]\nyaw_deg = 3.0\n")
-    over, station, datum, known = read_recording(folder).notes
+    text = '\n[stations.S1]\nover = "T11"\n\n[targets.NOPE]\ndatum = true\n\n[targets.T0]\nknown_mm = [1.0, 2.0, 3.0]\n'
+    setup.write_text(f"{setup.read_text()}{text}\n[stations.s1]\nyaw_deg = 3.0\n")
+    over, station, datum, reference = read_recording(folder).notes
     assert over.startswith("stations.S1.over is 'T11', a mark that no pointing and no other set-up names")
     assert over.endswith("did you mean T1?")
     assert station == "station s1 has no pointings: the table stations.s1 has no effect; did you mean S1?"
     assert datum == "target NOPE is not used for the datum, because it was never measured"
-    assert known.startswith("target T0 has known coordinates, but was never measured; did you mean ")
+    assert reference.startswith("target T0 has known coordinates, but was never measured; did you mean ")
 
 
 @pytest.mark.parametrize(
@@ -491,17 +491,17 @@ def test_limits_and_heights_that_cannot_be(folder: Path, table: str, says: str) 
     assert says in refusal(folder)
 
 
-def test_stated_sigmas_and_heights() -> None:
+def test_declared_sigmas_and_heights() -> None:
     recording = workshop(faces=1)
-    stated = np.full(len(recording), np.nan)
-    stated[0] = 2.0
-    one = recording.replace(covariates={"sigma_azimuth_arcsec": stated, "target_height_mm": stated})
-    ratio = one.reading_sigmas() / recording.reading_sigmas()
-    assert one.reading_sigmas()[0, 1] == pytest.approx(2.0 * np.pi / 648000)
+    sigmas = np.full(len(recording), np.nan)
+    sigmas[0] = 2.0
+    with_sigmas = recording.replace(covariates={"sigma_azimuth_arcsec": sigmas, "target_height_mm": sigmas})
+    ratio = with_sigmas.reading_sigmas() / recording.reading_sigmas()
+    assert with_sigmas.reading_sigmas()[0, 1] == pytest.approx(2.0 * np.pi / 648000)
     assert np.all(ratio[1:] == 1.0)
     assert np.all(ratio[:, [0, 2]] == 1.0)
-    assert one.heights_above_marks()[1][0] == pytest.approx(0.002)
-    assert not one.heights_above_marks()[1][1:].any()
+    assert with_sigmas.heights_above_marks()[1][0] == pytest.approx(0.002)
+    assert not with_sigmas.heights_above_marks()[1][1:].any()
 
 
 def test_the_concealed_recordings_survive(tmp_path: Path) -> None:

@@ -79,9 +79,9 @@ def test_readings(tmp_path: Path) -> None:
     ],
 )
 def test_wrong_projects(tmp_path: Path, old: str, new: str, says: str) -> None:
-    found = outcome(lambda: read(project(tmp_path / "p.xml", old, new)))
-    assert isinstance(found, str)
-    assert says in found
+    result = outcome(lambda: read(project(tmp_path / "p.xml", old, new)))
+    assert isinstance(result, str)
+    assert says in result
 
 
 def test_a_cut_project(tmp_path: Path) -> None:

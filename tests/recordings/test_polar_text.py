@@ -16,7 +16,7 @@ from ltsim.recordings.coordinates import read_points
 from tests.recordings.samples import POINTS, outcome, shared, workshop
 
 CLOCKWISE = Hints(azimuth="clockwise")
-ALL_SAID = Hints(angle="gon", vertical="zenith", azimuth="clockwise", length="mm")
+ALL_HINTS = Hints(angle="gon", vertical="zenith", azimuth="clockwise", length="mm")
 SCALE = {"gon": 200 / np.pi, "deg": 180 / np.pi, "rad": 1.0}
 
 
@@ -48,7 +48,7 @@ def printed(
 @pytest.mark.parametrize("unit", ["gon", "deg", "rad"])
 @pytest.mark.parametrize("zenith", [True, False])
 @pytest.mark.parametrize("faces", [1, 2])
-def test_unit_and_vertical_angle_are_found(tmp_path: Path, unit: str, zenith: bool, faces: int) -> None:
+def test_unit_and_vertical_angle_are_detected(tmp_path: Path, unit: str, zenith: bool, faces: int) -> None:
     """From two faces, or with one face from lengths that two stations share."""
     truth = workshop(faces=faces)
     file = printed(tmp_path / "a.txt", truth, unit=unit, zenith=zenith, comma=unit == "gon", digits=12)
@@ -61,7 +61,7 @@ def test_unit_and_vertical_angle_are_found(tmp_path: Path, unit: str, zenith: bo
     assert any("zenith" in note if zenith else "elevation" in note for note in recording.notes)
 
 
-def test_metres_are_found(tmp_path: Path) -> None:
+def test_metres_are_detected(tmp_path: Path) -> None:
     recording = read(printed(tmp_path / "a.txt", workshop(), metres=True), hints=CLOCKWISE)
     np.testing.assert_allclose(recording.readings[:, 0], workshop().readings[:, 0])
 
@@ -97,7 +97,7 @@ def test_points_in_a_plane_do_not_decide(tmp_path: Path) -> None:
         read(file, hints=Hints(points=points))
 
 
-def test_one_face_of_one_station_is_asked_about(tmp_path: Path) -> None:
+def test_a_single_face_of_a_station_is_questioned(tmp_path: Path) -> None:
     recording = workshop(faces=1)
     above = recording.select((recording.station == 0) & (recording.readings[:, 2] > 0))
     file = printed(tmp_path / "a.txt", above, unit="deg")
@@ -135,10 +135,10 @@ def test_comments_say_what_is_meant(tmp_path: Path) -> None:
 def test_a_wrong_line(tmp_path: Path, line: str, says: str) -> None:
     file = tmp_path / "a.txt"
     file.write_text(f"S1 T1 10 95 2000\nS1 T1 210 305 2000\n{line}\n")
-    found = outcome(lambda: read(file, format="polar-text", hints=CLOCKWISE))
+    result = outcome(lambda: read(file, format="polar-text", hints=CLOCKWISE))
     if says:
-        assert isinstance(found, str)
-        assert any(part in found for part in says.split("|")) or pytest.fail(found)
+        assert isinstance(result, str)
+        assert any(part in result for part in says.split("|")) or pytest.fail(result)
 
 
 def test_a_cut_file(tmp_path: Path) -> None:
@@ -146,10 +146,10 @@ def test_a_cut_file(tmp_path: Path) -> None:
     content = file.read_bytes()
     for cut in (*range(200), *range(200, len(content), 7)):
         file.write_bytes(content[:cut])
-        found = outcome(
+        result = outcome(
             lambda: read(file, hints=Hints(angle="gon", vertical="zenith", azimuth="clockwise", length="mm"))
         )
-        assert isinstance(found, str) or content[:cut].endswith((b"\n", b"\r"))
+        assert isinstance(result, str) or content[:cut].endswith((b"\n", b"\r"))
 
 
 POLAR = st.tuples(st.floats(0.3, 300), st.floats(0, 6.28), st.floats(-1.5, 1.5), st.integers(1, 2))

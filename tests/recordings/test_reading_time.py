@@ -102,7 +102,7 @@ def test_set_ups_of_a_file_are_not_compared_in_pairs(name: str, tmp_path: Path) 
         assert len(read(tmp_path / name)) > 0
 
 
-def test_names_that_differ_in_their_slashes_are_kept_apart_in_no_time(tmp_path: Path) -> None:
+def test_names_that_differ_in_their_slashes_are_separated_quickly(tmp_path: Path) -> None:
     """Each of n names was compared with n names up to n times."""
     names = ["a" + "".join("/" if i >> k & 1 else "_" for k in range(13)) for i in range(2**13)]
     points = "".join(f'<point id="{name}" x="{i}" y="0" z="0" fix="xyz"/>' for i, name in enumerate(names))
@@ -125,7 +125,7 @@ def test_the_name_of_an_instrument_in_a_report_is_divided_once(tmp_path: Path) -
         assert "no name of its set-up" in sentence_of(tmp_path / "a.csv")
 
 
-def test_points_of_one_name_in_many_groups_are_not_compared_in_pairs(tmp_path: Path) -> None:
+def test_points_of_equal_name_in_many_groups_are_not_compared_in_pairs(tmp_path: Path) -> None:
     """Each group was compared with all earlier places: 8,000 rows took a minute."""
     head = '"CompositeReport\n"\n"Observations\nA::0 - L"\n'
     rows = "".join(f"A;G{i};T;{i % 400},5;{100 + i % 7},25;{1000 + 11 * i},5\n" for i in range(10_000))

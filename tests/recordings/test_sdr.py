@@ -83,7 +83,7 @@ def test_angles_from_the_horizon_and_feet(tmp_path: Path) -> None:
         (lambda lines: lines[:4], "contains no measurements"),
     ],
 )
-def test_wrong_files_get_one_sentence(tmp_path: Path, change: object, says: str) -> None:
+def test_wrong_files_are_refused_in_a_sentence(tmp_path: Path, change: object, says: str) -> None:
     with pytest.raises(RecordError) as refused:
         read(written(tmp_path / "a.sdr", change(book("33"))))  # type: ignore[operator]
     assert says in str(refused.value)
@@ -115,7 +115,7 @@ def test_the_header_decides_and_not_the_suffix(tmp_path: Path, suffix: str) -> N
     assert read(written(tmp_path / f"a.{suffix}", book("33"))).stations == ("1", "2")
 
 
-def test_a_set_up_and_a_target_of_another_spelling_are_one_mark(tmp_path: Path) -> None:
+def test_a_set_up_and_a_target_of_another_spelling_are_the_same_mark(tmp_path: Path) -> None:
     stations = slice(4, 20)
     lines = book("33")
     for i, line in enumerate(lines):

@@ -85,14 +85,14 @@ def test_a_report_is_understood(tmp_path: Path, clockwise: bool) -> None:
     assert station.instrument == "Leica AT960-930"
 
 
-def test_without_poses_the_usual_sense_is_taken_and_said(tmp_path: Path) -> None:
+def test_without_poses_the_usual_sense_is_assumed_and_reported(tmp_path: Path) -> None:
     recording = read(report(tmp_path / "r.csv", poses=False))
     assert any("the file does not show the sense" in note for note in recording.notes)
     given = read(report(tmp_path / "r.csv", poses=False), hints=Hints(azimuth="counter-clockwise"))
     np.testing.assert_allclose(np.mod(given.readings[:, 1] + recording.readings[:, 1] + 1, 2 * np.pi), 1, atol=1e-9)
 
 
-def test_one_name_in_two_places(tmp_path: Path) -> None:
+def test_a_name_in_two_places(tmp_path: Path) -> None:
     """A name that stands for other points in another group gets the group in front, except where most saw it."""
     file = report(tmp_path / "r.csv")
     lines = file.read_text(encoding="utf-8").split("\n")
@@ -125,9 +125,9 @@ def test_wrong_reports(tmp_path: Path, old: str, new: str, says: str) -> None:
     text = file.read_text(encoding="utf-8")
     assert old in text
     file.write_text(text.replace(old, new), encoding="utf-8")
-    found = outcome(lambda: read(file, format="spatialanalyzer"))
-    assert isinstance(found, str)
-    assert any(part in found for part in says.split("|")), found
+    result = outcome(lambda: read(file, format="spatialanalyzer"))
+    assert isinstance(result, str)
+    assert any(part in result for part in says.split("|")), result
 
 
 def test_a_report_of_too_many_observations_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -143,8 +143,8 @@ def test_a_cut_report(tmp_path: Path) -> None:
     content = file.read_bytes()
     for cut in range(0, len(content), 7):
         file.write_bytes(content[:cut])
-        found = outcome(lambda: read(file, format="spatialanalyzer"))
-        assert isinstance(found, str) or len(found) in (12, 24)
+        result = outcome(lambda: read(file, format="spatialanalyzer"))
+        assert isinstance(result, str) or len(result) in (12, 24)
 
 
 def test_the_real_reports() -> None:

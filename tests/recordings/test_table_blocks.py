@@ -52,7 +52,7 @@ def test_an_instrument_names_the_block_where_no_station_does(tmp_path: Path) -> 
     assert read_text(tmp_path / "a.csv", block(["Tracker: {station}"])).stations == ("A", "B")
 
 
-def test_a_new_station_has_no_height_of_the_one_before(tmp_path: Path) -> None:
+def test_a_new_station_has_no_height_of_the_previous_station(tmp_path: Path) -> None:
     lines = ["Station: A", "Instrument height: 1.5", HEADER, *ROWS, "Station: B", *ROWS]
     recording = read_text(tmp_path / "a.csv", "\n".join(lines) + "\n")
     assert np.isnan(recording.covariates["instrument_height_mm"][3:]).all()
@@ -121,7 +121,7 @@ def test_an_english_site_is_no_elevation(tmp_path: Path) -> None:
     assert points.labels["Site"] == ("hall",)
 
 
-def test_each_word_has_one_role() -> None:
+def test_each_word_has_a_single_role() -> None:
     roles: dict[str, set[str]] = {}
     for words in (TITLES_BY_ROLE, *FOREIGN_TITLES_BY_LANGUAGE.values()):
         for role, text in words.items():

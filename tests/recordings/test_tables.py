@@ -171,34 +171,34 @@ DIALECTS: dict[str, tuple[Callable[[Path], Path], str, bool, float]] = {
 def test_every_dialect_gives_the_same_recording(tmp_path: Path, dialect: str) -> None:
     """To the last bit where the dialect prints every digit: numbers are carried as decimals."""
     make, name, clock, rounding = DIALECTS[dialect]
-    found = read(make(tmp_path / name), hints=Hints(columns=COLUMNS if dialect == "unnamed" else None))
+    recording = read(make(tmp_path / name), hints=Hints(columns=COLUMNS if dialect == "unnamed" else None))
     whole = truth()
-    assert [found.stations[i] for i in found.station] == [whole.stations[i] for i in whole.station]
-    assert [found.targets[i] for i in found.target] == [whole.targets[i] for i in whole.target]
-    assert np.array_equal(found.face, whole.face)
-    np.testing.assert_allclose(found.readings, whole.readings, rtol=1e-15, atol=max(rounding, 1e-16))
-    assert found.has_clock == clock
+    assert [recording.stations[i] for i in recording.station] == [whole.stations[i] for i in whole.station]
+    assert [recording.targets[i] for i in recording.target] == [whole.targets[i] for i in whole.target]
+    assert np.array_equal(recording.face, whole.face)
+    np.testing.assert_allclose(recording.readings, whole.readings, rtol=1e-15, atol=max(rounding, 1e-16))
+    assert recording.has_clock == clock
     if clock:
-        np.testing.assert_array_equal(found.time, whole.time)
+        np.testing.assert_array_equal(recording.time, whole.time)
 
 
-def test_what_is_kept_and_what_is_left_out_is_said(tmp_path: Path) -> None:
-    found = read(blocks(tmp_path / "a.csv"))
-    np.testing.assert_allclose(found.covariates["T [C]"][:2], [21.0, 21.01])
-    assert set(found.labels["Operator"]) == {"night shift"}
-    said = "\n".join(found.notes)
-    assert "covariates and labels: 'T [C]', 'Operator'" in said
-    assert "free text is not used: line 1 of a.csv ('Job: hall 7'); line 32" in said
-    assert "'V [deg]' is interpreted as zenith angles" in said
-    assert "'Hz [deg]' is interpreted as a horizontal circle, clockwise" in said
+def test_used_and_excluded_columns_are_reported(tmp_path: Path) -> None:
+    recording = read(blocks(tmp_path / "a.csv"))
+    np.testing.assert_allclose(recording.covariates["T [C]"][:2], [21.0, 21.01])
+    assert set(recording.labels["Operator"]) == {"night shift"}
+    notes = "\n".join(recording.notes)
+    assert "covariates and labels: 'T [C]', 'Operator'" in notes
+    assert "free text is not used: line 1 of a.csv ('Job: hall 7'); line 32" in notes
+    assert "'V [deg]' is interpreted as zenith angles" in notes
+    assert "'Hz [deg]' is interpreted as a horizontal circle, clockwise" in notes
 
 
 def test_rows_know_the_line_they_came_from(tmp_path: Path) -> None:
-    found = read(a_file_a_station(tmp_path / "a"))
-    assert found.row_text(1) == "row 1 (S1.csv, line 2)"
-    second = found.select(found.station == 1)
+    recording = read(a_file_a_station(tmp_path / "a"))
+    assert recording.row_text(1) == "row 1 (S1.csv, line 2)"
+    second = recording.select(recording.station == 1)
     assert second.row_text(3) == "row 3 (S2.csv, line 4)"
-    write(found, tmp_path / "native")
+    write(recording, tmp_path / "native")
     assert read(tmp_path / "native").row_text(3) == "row 3"
 
 
@@ -209,9 +209,9 @@ def test_the_sentence_shows_what_to_type(tmp_path: Path) -> None:
     (tmp_path / "b.csv").write_text("Point,Az[deg],Zenith[deg],D[m]\nT1,10.5,95.2,3.125\nT2,20.5,85.2,3.5\n")
     with pytest.raises(RecordError, match="--hint azimuth=clockwise or --hint azimuth=counter-clockwise"):
         read(tmp_path / "b.csv")
-    found = read(tmp_path / "b.csv", hints=Hints(azimuth="clockwise", station="P7"))
-    np.testing.assert_allclose(np.degrees(found.readings[0, 1:]), [349.5, -5.2])
-    assert found.stations == ("P7",)
+    recording = read(tmp_path / "b.csv", hints=Hints(azimuth="clockwise", station="P7"))
+    np.testing.assert_allclose(np.degrees(recording.readings[0, 1:]), [349.5, -5.2])
+    assert recording.stations == ("P7",)
     (tmp_path / "c.csv").write_text("Point,Hz,V,D\nT1,10.5,85.2,3.125\nT2,20.5,86.2,3.5\n")
     with pytest.raises(RecordError, match="give --hint angle=deg --hint vertical=zenith"):
         read(tmp_path / "c.csv")
@@ -226,9 +226,9 @@ def test_rough_places_decide_the_sense_against_the_words(tmp_path: Path) -> None
         f"[stations.S1]\nposition_mm = [2250.0, 1950.0, 1500.0]\nyaw_deg = {np.degrees(0.3) + 1}\n"
         f"[stations.S2]\nposition_mm = [3550.0, 4150.0, 1700.0]\nyaw_deg = {np.degrees(-2.1) - 1}\n"
     )
-    found = read(file)
-    np.testing.assert_allclose(found.readings, truth().readings, rtol=1e-15)
-    assert any("at their approximate positions then agree" in note for note in found.notes)
+    recording = read(file)
+    np.testing.assert_allclose(recording.readings, truth().readings, rtol=1e-15)
+    assert any("at their approximate positions then agree" in note for note in recording.notes)
 
 
 def test_readings_reduced_to_face_1_are_turned_back(tmp_path: Path) -> None:
@@ -238,9 +238,9 @@ def test_readings_reduced_to_face_1_are_turned_back(tmp_path: Path) -> None:
     ]
     file = tmp_path / "a.csv"
     file.write_text(lines(["Station", "Point", "Face", "Az[deg]", "El[deg]", "D[mm]"], body))
-    found = read(file)
-    np.testing.assert_allclose(found.readings, truth().readings, atol=1e-11)
-    assert any("reduced to face 1" in note for note in found.notes)
+    recording = read(file)
+    np.testing.assert_allclose(recording.readings, truth().readings, atol=1e-11)
+    assert any("reduced to face 1" in note for note in recording.notes)
 
 
 @pytest.mark.parametrize(
@@ -255,10 +255,10 @@ def test_readings_reduced_to_face_1_are_turned_back(tmp_path: Path) -> None:
         ("Point,Az[deg],El[deg],D[mm],Date\nT1,1,2,3000,03/04/2026\nT2,1,2,3000,04/04/2026\n", "--hint date=dmy"),
     ],
 )
-def test_wrong_tables_get_one_sentence(tmp_path: Path, text: str, says: str) -> None:
+def test_wrong_tables_are_refused_in_a_sentence(tmp_path: Path, text: str, says: str) -> None:
     (tmp_path / "a.csv").write_text(text)
-    found = outcome(lambda: read(tmp_path / "a.csv", format="table"))
-    assert isinstance(found, str) and says in found, found
+    result = outcome(lambda: read(tmp_path / "a.csv", format="table"))
+    assert isinstance(result, str) and says in result, result
 
 
 @pytest.mark.parametrize(
@@ -269,9 +269,9 @@ def test_wrong_tables_get_one_sentence(tmp_path: Path, text: str, says: str) -> 
         ("azimuth=Z[deg],elevation=E[deg]", "does not say what its columns contain"),
     ],
 )
-def test_wrong_mappings_get_one_sentence(tmp_path: Path, wanted: str, says: str) -> None:
-    found = outcome(lambda: read(unnamed(tmp_path / "a.csv"), hints=Hints(columns=wanted)))
-    assert isinstance(found, str) and says in found, found
+def test_wrong_mappings_are_refused_in_a_sentence(tmp_path: Path, wanted: str, says: str) -> None:
+    result = outcome(lambda: read(unnamed(tmp_path / "a.csv"), hints=Hints(columns=wanted)))
+    assert isinstance(result, str) and says in result, result
 
 
 @pytest.mark.parametrize(
@@ -357,7 +357,7 @@ def test_a_workbook_without_the_library(tmp_path: Path, monkeypatch: pytest.Monk
         read(file)
 
 
-def test_twelve_dialects_of_one_network(shared: Path) -> None:
+def test_twelve_dialects_of_the_same_network(shared: Path) -> None:
     """Somebody else's tables: the adjustment of each is that of the reference."""
     folder = shared / "recordings" / "tables"
     if not folder.is_dir():
@@ -365,24 +365,24 @@ def test_twelve_dialects_of_one_network(shared: Path) -> None:
     whole = lt.adjust(read(folder / "reference"))
     for path in sorted(folder.iterdir()):
         if path.name[:2].isdigit():
-            said = COLUMNS if path.name.startswith("11") else None
-            found = lt.adjust(read(path, hints=Hints(columns=said, setup=folder / "reference")))
+            columns = COLUMNS if path.name.startswith("11") else None
+            adjustment = lt.adjust(read(path, hints=Hints(columns=columns, setup=folder / "reference")))
             rounded = path.name[:2] in ("02", "04", "05", "06")
             np.testing.assert_allclose(
-                found.fit.chi2, whole.fit.chi2, rtol=1e-5 if rounded else 1e-9, err_msg=path.name
+                adjustment.fit.chi2, whole.fit.chi2, rtol=1e-5 if rounded else 1e-9, err_msg=path.name
             )
-            for one, other in zip(found.stations, whole.stations, strict=True):
-                np.testing.assert_allclose(one.position, other.position, atol=1e-9, err_msg=path.name)
+            for station, other in zip(adjustment.stations, whole.stations, strict=True):
+                np.testing.assert_allclose(station.position, other.position, atol=1e-9, err_msg=path.name)
     with pytest.raises(RecordError, match="for instance --columns"):
         read(folder / "11-unnamed.csv")
 
 
 def test_a_table_becomes_a_native_recording(tmp_path: Path) -> None:
-    found = read(blocks(tmp_path / "a.csv"))
-    write(found, tmp_path / "out")
+    recording = read(blocks(tmp_path / "a.csv"))
+    write(recording, tmp_path / "out")
     back = read(tmp_path / "out")
-    np.testing.assert_array_equal(back.readings, found.readings)
-    assert back.covariates.keys() == found.covariates.keys()
+    np.testing.assert_array_equal(back.readings, recording.readings)
+    assert back.covariates.keys() == recording.covariates.keys()
 
 
 def traverse(axis_to_axis: bool) -> str:
@@ -406,29 +406,29 @@ def traverse(axis_to_axis: bool) -> str:
 
 
 @pytest.mark.parametrize("axis_to_axis", family([True, False]))
-def test_heights_beside_readings_between_the_heads_are_not_applied_and_it_is_said(
+def test_heights_next_to_readings_between_the_heads_are_not_applied_and_it_is_reported(
     tmp_path: Path, axis_to_axis: bool
 ) -> None:
     (tmp_path / "pillars.csv").write_text(traverse(axis_to_axis))
     recording = read(tmp_path / "pillars.csv")
-    said = [note for note in recording.notes if "are not applied" in note]
-    assert bool(said) == axis_to_axis
-    if said:
-        assert "15 lines measured in both directions close within" in said[0]
+    notes = [note for note in recording.notes if "are not applied" in note]
+    assert bool(notes) == axis_to_axis
+    if notes:
+        assert "15 lines measured in both directions close within" in notes[0]
     assert bool(np.any(recording.heights_above_marks()[1])) != axis_to_axis
     assert lt.adjust(recording).fit.sigma0 < 20.0
 
 
-def test_occupations_are_names_of_a_column_or_one_a_mark_day_and_role(tmp_path: Path) -> None:
+def test_occupations_are_names_of_a_column_or_combinations_of_mark_day_and_role(tmp_path: Path) -> None:
     plain, numbered = tmp_path / "plain.csv", tmp_path / "numbered.csv"
     rows = traverse(True).splitlines()
     plain.write_text("\n".join(rows))
     more = [f"{row},{i % 3 + 1},7" for i, row in enumerate(rows[1:])]
     numbered.write_text("\n".join([f"{rows[0]},isetupid,tsetupid", *more]))
-    recording, stated = read(plain), read(numbered)
-    assert recording.setup.height_above_mark_sigma_mm == stated.setup.height_above_mark_sigma_mm == 1.0
+    recording, with_column = read(plain), read(numbered)
+    assert recording.setup.height_above_mark_sigma_mm == with_column.setup.height_above_mark_sigma_mm == 1.0
     assert set(recording.labels["instrument_setup"]) == set(recording.stations)
     assert set(recording.labels["target_setup"]) == {f"to {name}" for name in recording.targets}
-    assert set(stated.labels["instrument_setup"]) == {"1", "2", "3"}
-    write(stated, tmp_path / "native")
-    assert read(tmp_path / "native").labels["target_setup"] == stated.labels["target_setup"]
+    assert set(with_column.labels["instrument_setup"]) == {"1", "2", "3"}
+    write(with_column, tmp_path / "native")
+    assert read(tmp_path / "native").labels["target_setup"] == with_column.labels["target_setup"]

@@ -34,11 +34,11 @@ def table(path: Path, header: str, cells_: list[str], rows: list[str] = ROWS) ->
     "form", ["08:{:02d}:20", "08:{:02d}:20.000", "'11.10.2022 08:{:02d}:20", "2022-10-11T08:{:02d}:20Z"]
 )
 def test_a_clock_is_a_time_of_day_under_any_header(tmp_path: Path, header: str, form: str) -> None:
-    found = read(table(tmp_path / "a.csv", header, [form.format(i) for i in range(6)]))
-    assert found.has_clock
-    np.testing.assert_allclose(found.time, 60.0 * np.arange(6))
-    assert found.setup.started.endswith("08:00:20")
-    assert not found.covariates and not found.labels
+    recording = read(table(tmp_path / "a.csv", header, [form.format(i) for i in range(6)]))
+    assert recording.has_clock
+    np.testing.assert_allclose(recording.time, 60.0 * np.arange(6))
+    assert recording.setup.started.endswith("08:00:20")
+    assert not recording.covariates and not recording.labels
 
 
 @pytest.mark.parametrize(
@@ -54,24 +54,24 @@ def test_a_clock_is_a_time_of_day_under_any_header(tmp_path: Path, header: str, 
     ],
 )
 def test_further_spellings_of_a_clock(tmp_path: Path, form: str) -> None:
-    found = read(table(tmp_path / "a.csv", "measured", [form.format(i) for i in range(6)]))
-    np.testing.assert_allclose(found.time, 60.0 * np.arange(6))
-    assert found.setup.started == ("08:00:20" if "h" in form else "2026-03-01T08:00:20")
-    asked = any("interpreted as month and day (otherwise give --hint date=dmy)" in note for note in found.notes)
+    recording = read(table(tmp_path / "a.csv", "measured", [form.format(i) for i in range(6)]))
+    np.testing.assert_allclose(recording.time, 60.0 * np.arange(6))
+    assert recording.setup.started == ("08:00:20" if "h" in form else "2026-03-01T08:00:20")
+    asked = any("interpreted as month and day (otherwise give --hint date=dmy)" in note for note in recording.notes)
     assert asked == ("/" in form)
 
 
 def test_numbered_days_are_no_seconds(tmp_path: Path) -> None:
-    found = read(table(tmp_path / "a.csv", "Tag", ["1", "1", "1", "2", "2", "2"]))
-    assert not found.has_clock and found.stations == ("A", "A#2")
-    assert any("contains numbers of days without a time" in note for note in found.notes)
+    recording = read(table(tmp_path / "a.csv", "Tag", ["1", "1", "1", "2", "2", "2"]))
+    assert not recording.has_clock and recording.stations == ("A", "A#2")
+    assert any("contains numbers of days without a time" in note for note in recording.notes)
 
 
-def test_a_clock_beside_the_time_is_kept_as_text(tmp_path: Path) -> None:
+def test_a_clock_next_to_the_time_stays_as_text(tmp_path: Path) -> None:
     moments = [f"{20.0 * i};08:{i:02d}:20" for i in range(6)]
-    found = read(table(tmp_path / "a.csv", "time_s;set up at", moments))
-    np.testing.assert_allclose(found.time, 20.0 * np.arange(6))
-    assert found.labels["set up at"][1] == "08:01:20" and not found.covariates
+    recording = read(table(tmp_path / "a.csv", "time_s;set up at", moments))
+    np.testing.assert_allclose(recording.time, 20.0 * np.arange(6))
+    assert recording.labels["set up at"][1] == "08:01:20" and not recording.covariates
 
 
 def test_a_pace_that_no_instrument_has_is_questioned(tmp_path: Path) -> None:
@@ -98,8 +98,8 @@ def test_a_pace_that_no_instrument_has_is_questioned(tmp_path: Path) -> None:
     ],
 )
 def test_degrees_with_any_usual_marks(text: str, degrees: float) -> None:
-    found = cells.parse_number_or_angle(text)
-    assert found is not None and float(found) == pytest.approx(degrees, abs=1e-12)
+    value = cells.parse_number_or_angle(text)
+    assert value is not None and float(value) == pytest.approx(degrees, abs=1e-12)
     assert cells.is_sexagesimal(text)
 
 
@@ -124,8 +124,8 @@ def test_sign_of_an_angle_in_separate_cells(parts: tuple[str, ...], degrees: flo
 
 @pytest.mark.parametrize(("text", "degrees"), [("33.12072", 33.202), ("33.5", 33 + 50 / 60), ("7", 7.0)])
 def test_minutes_and_seconds_as_decimals(text: str, degrees: float) -> None:
-    found = parse_packed_degrees(text)
-    assert found is not None and float(found) == pytest.approx(degrees, abs=1e-12)
+    value = parse_packed_degrees(text)
+    assert value is not None and float(value) == pytest.approx(degrees, abs=1e-12)
 
 
 @pytest.mark.parametrize("text", ["33°72'07\"", "33°12'61\"", "33.7512"])
@@ -143,9 +143,9 @@ def test_no_angle_has_sixty_minutes(text: str) -> None:
         ("12.345 m", 12.345, "m"),
     ],
 )
-def test_a_unit_beside_each_number_is_the_unit_of_its_column(text: str, number: float, unit: str) -> None:
-    bare, found = cells.split_common_unit([text, "", text])
-    assert found == unit and bare[1] == ""
+def test_a_unit_next_to_each_number_is_the_unit_of_its_column(text: str, number: float, unit: str) -> None:
+    bare, texts = cells.split_common_unit([text, "", text])
+    assert texts == unit and bare[1] == ""
     value = cells.parse_number_or_angle(bare[0])
     assert value is not None and float(value) == pytest.approx(number, abs=1e-12)
     assert cells.split_common_unit([text, "7.5"]) == ([text, "7.5"], "")
@@ -157,9 +157,9 @@ def test_units_in_cells_decide_between_degrees_and_gon(tmp_path: Path) -> None:
         (tmp_path / "a.csv").write_text(
             "\n".join(["Station;Point;Hz;V;D", *rows]).format(mark) + "\n", encoding="utf-8"
         )
-        found = read(tmp_path / "a.csv", hints=Hints(vertical="zenith"))
-        assert np.degrees(found.readings[0, 2]) == pytest.approx(90 - factor * 95.25)
-        assert found.readings[0, 0] == pytest.approx(3.5)
+        recording = read(tmp_path / "a.csv", hints=Hints(vertical="zenith"))
+        assert np.degrees(recording.readings[0, 2]) == pytest.approx(90 - factor * 95.25)
+        assert recording.readings[0, 0] == pytest.approx(3.5)
     (tmp_path / "a.csv").write_text(
         "\n".join(["Station;Point;Hz;V;D", rows[0].format("g"), rows[1].format("°")]) + "\n"
     )
@@ -177,18 +177,18 @@ def test_minutes_and_seconds_in_decimals_are_recognised_by_their_digits(tmp_path
     for name, form in (("packed", packed), ("plain", "{:.4f}".format)):
         lines = [f"S;P{i};{form(hz)};{form(v)};{4 + i}.125" for i, (hz, v) in enumerate(angles.tolist())]
         (tmp_path / f"{name}.csv").write_text("\n".join(["Station;Point;Hz;V;SD [m]", *lines]) + "\n")
-        found = read(tmp_path / f"{name}.csv", hints=None if name == "packed" else Hints(angle="deg"))
-        np.testing.assert_allclose(np.degrees(found.readings[:, 2]), 90 - angles[:, 1], atol=2e-4)
-        assert any("interpreted as ddd.mmss" in note for note in found.notes) == (name == "packed")
+        recording = read(tmp_path / f"{name}.csv", hints=None if name == "packed" else Hints(angle="deg"))
+        np.testing.assert_allclose(np.degrees(recording.readings[:, 2]), 90 - angles[:, 1], atol=2e-4)
+        assert any("interpreted as ddd.mmss" in note for note in recording.notes) == (name == "packed")
 
 
 @pytest.mark.parametrize("titles", ["Hz;M;S;V;M;S", "Hz;m;s;V;m;s"])
 def test_letters_after_an_angle_are_its_minutes_and_seconds(tmp_path: Path, titles: str) -> None:
     rows = [f"A;P{i};{10 * i};12;7.5;{90 + i};30;0.5;3.{i}" for i in range(4)]
     (tmp_path / "a.csv").write_text("\n".join([f"Station;Point;{titles};SD [m]", *rows]) + "\n")
-    found = read(tmp_path / "a.csv")
-    assert np.degrees(found.readings[1, 2]) == pytest.approx(-1 - 30 / 60 - 0.5 / 3600)
-    assert not found.covariates
+    recording = read(tmp_path / "a.csv")
+    assert np.degrees(recording.readings[1, 2]) == pytest.approx(-1 - 30 / 60 - 0.5 / 3600)
+    assert not recording.covariates
 
 
 GON = [(36.5, 99.75), (298.25, 90.5), (14.125, 89.625)]
@@ -200,7 +200,7 @@ def sexagesimal(gon: float) -> tuple[int, int, float]:
     return int(seconds // 3600), int(seconds % 3600 // 60), seconds % 60
 
 
-def test_degrees_minutes_seconds_in_columns_in_marks_and_in_decimals_are_one_angle(tmp_path: Path) -> None:
+def test_degrees_minutes_seconds_in_columns_in_marks_and_in_decimals_are_the_same_angle(tmp_path: Path) -> None:
     angles = [tuple(map(sexagesimal, pair)) for pair in GON]
     columns = ["A,B,HzD,HzM,HzS,ZA [°],ZA ['],ZA [\"],SD [m]"]
     marked, decimals, unnamed = ["A,B,Hz,ZA,SD [m]"], ["A,B,Hz [ddd.mmss],ZA [ddd.mmss],SD [m]"], ["a,b,c,d,e,f,g,h,i"]
@@ -215,10 +215,10 @@ def test_degrees_minutes_seconds_in_columns_in_marks_and_in_decimals_are_one_ang
     expected = np.array([[-0.9 * h % 360, 90 - 0.9 * v] for h, v in GON])
     for name, text in {"columns": columns, "marked": marked, "decimals": decimals}.items():
         (tmp_path / f"{name}.csv").write_text("\n".join(text) + "\n")
-        found = read(tmp_path / f"{name}.csv")
+        recording = read(tmp_path / f"{name}.csv")
         rounding = 1e-9 if name != "decimals" else 1.5e-4
-        np.testing.assert_allclose(np.degrees(found.readings[:, 1:]), expected, atol=rounding)
-        assert not found.covariates
+        np.testing.assert_allclose(np.degrees(recording.readings[:, 1:]), expected, atol=rounding)
+        assert not recording.covariates
     (tmp_path / "unnamed.csv").write_text("\n".join(unnamed) + "\n")
     with pytest.raises(RecordError, match=r"azimuth=c\+d\+e\[deg\],vertical=f\+g\+h\[deg\],distance=i\[m\]"):
         read(tmp_path / "unnamed.csv")
@@ -291,7 +291,9 @@ def test_positions_of_a_moving_target_are_no_list_of_points(tmp_path: Path) -> N
         ("Name;X;Y;Z", "P{n};{n}00.50{i};-3190.5;300.5", "list of 2 points in 8 rows"),
     ],
 )
-def test_what_a_table_of_positions_is_is_said(tmp_path: Path, header: str, first: str, says: str) -> None:
+def test_the_interpretation_of_a_table_of_positions_is_reported(
+    tmp_path: Path, header: str, first: str, says: str
+) -> None:
     rows = [first.format(i=i, x=f"{700 + 40 * i}.5", n=i % 2 + 1) for i in range(8)]
     (tmp_path / "a.csv").write_text("\n".join([header, *rows]) + "\n")
     with pytest.raises(RecordError, match=says):
@@ -299,14 +301,14 @@ def test_what_a_table_of_positions_is_is_said(tmp_path: Path, header: str, first
 
 
 @pytest.mark.parametrize("named", [True, False])
-def test_positions_of_one_set_up_are_targets_by_place(tmp_path: Path, named: bool) -> None:
+def test_positions_of_a_single_set_up_are_targets_by_place(tmp_path: Path, named: bool) -> None:
     text = ROBOT if named else ROBOT.replace("Target", "ball")
     (tmp_path / "a.csv").write_text(text)
     hints = Hints(station="L", columns=None if named else "x=1[mm],y=2[mm],z=3[mm]")
-    found = read(tmp_path / "a.csv", format="table", hints=hints)
-    assert found.stations == ("L",) and found.targets == ("pose-1", "pose-2", "pose-3", "pose-4")
-    assert found.repeat.max() == 2 and found.has_clock
-    assert any("its 8 rows are 4 positions of a target that moves" in note for note in found.notes)
+    recording = read(tmp_path / "a.csv", format="table", hints=hints)
+    assert recording.stations == ("L",) and recording.targets == ("pose-1", "pose-2", "pose-3", "pose-4")
+    assert recording.repeat.max() == 2 and recording.has_clock
+    assert any("its 8 rows are 4 positions of a target that moves" in note for note in recording.notes)
 
 
 @pytest.mark.parametrize("first", ["Time Stamp", "q1 [deg]", "Pose"])
@@ -321,7 +323,7 @@ def test_positions_without_names_are_read_with_the_name_of_their_set_up(tmp_path
 
 
 @pytest.mark.parametrize("faces", [1, 2])
-def test_unnamed_polar_readings_of_one_position_are_one_target(tmp_path: Path, faces: int) -> None:
+def test_unnamed_polar_readings_of_the_same_position_are_a_single_target(tmp_path: Path, faces: int) -> None:
     """Also across the zero of the circle, with elevations of a few degrees, and on both faces."""
     rows = []
     for azimuth, zenith in ((359.99995, 87.5), (12.5, 89.25), (77.25, 91.0)):
@@ -336,7 +338,7 @@ def test_unnamed_polar_readings_of_one_position_are_one_target(tmp_path: Path, f
     assert len(recording) == 9 * faces and recording.face.max() == faces
 
 
-def test_numbered_shots_of_one_point_are_reported(tmp_path: Path) -> None:
+def test_numbered_shots_of_a_point_are_reported(tmp_path: Path) -> None:
     def table(gap_mm: float) -> str:
         rows = [
             f"S1;P{i}-{shot};{2500 + 300 * i + gap_mm * shot:.3f};{800 - 90 * i};{40 * i}\n"
@@ -395,15 +397,15 @@ def test_headers_of_office_programs(tmp_path: Path) -> None:
         )
     ]
     (tmp_path / "a.csv").write_text("\n".join([header, *rows]) + "\n")
-    found = read(tmp_path / "a.csv")
-    assert found.stations == ("1000",) and found.targets == ("101", "102")
-    assert list(found.face) == [1, 2, 1, 2]
-    np.testing.assert_allclose(found.time, [0, 60, 120, 180])
-    np.testing.assert_allclose(found.heights_above_marks()[0], 1.552)
-    np.testing.assert_allclose(found.covariates["target_height_mm"], [1300, 1400, 1300, 1400])
+    recording = read(tmp_path / "a.csv")
+    assert recording.stations == ("1000",) and recording.targets == ("101", "102")
+    assert list(recording.face) == [1, 2, 1, 2]
+    np.testing.assert_allclose(recording.time, [0, 60, 120, 180])
+    np.testing.assert_allclose(recording.heights_above_marks()[0], 1.552)
+    np.testing.assert_allclose(recording.covariates["target_height_mm"], [1300, 1400, 1300, 1400])
 
 
-ONE_ROW = {
+SINGLE_ROWS = {
     "station,target,Hz[deg],zenith[deg],distance[mm]\nS1,T1,10,BAD,3000\n": "zenith[deg]",
     "station,target,azimuth[deg],elevation[deg],distance[mm]\nS1,T1,10,BAD,3000": "elevation[deg]",
     "Punkt;Hz[gon];V[gon];SD[m]\nP1;10,5;80,25;BAD\n": "SD[m]",
@@ -415,14 +417,14 @@ ONE_ROW = {
 """Tables of one row, and the column whose cell is wrong."""
 
 
-@pytest.mark.parametrize(("text", "column"), ONE_ROW.items())
+@pytest.mark.parametrize(("text", "column"), SINGLE_ROWS.items())
 def test_a_bad_cell_of_the_only_row_is_named(text: str, column: str, tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(text.replace("BAD", "abc"))
     with pytest.raises(RecordError, match=rf"a\.csv, row 2, column {re.escape(column)}: found 'abc', expected "):
         read(tmp_path / "a.csv")
 
 
-@pytest.mark.parametrize("text", [text for text in ONE_ROW if "," in text or ";" in text or "\t" in text])
+@pytest.mark.parametrize("text", [text for text in SINGLE_ROWS if "," in text or ";" in text or "\t" in text])
 def test_a_table_without_readings_says_so(text: str, tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(text.split("\n")[0] + "\n")
     with pytest.raises(RecordError, match=r"a\.csv: contains no pointings below its header"):
@@ -452,9 +454,9 @@ def written(path: Path, header: str, rows: list[list[str]], separator: str = ";"
     return path
 
 
-def first_angles(found: Recording) -> list[float]:
+def first_angles(recording: Recording) -> list[float]:
     """Horizontal circle and zenith angle of the first and last pointing [deg]."""
-    hz, v = -np.degrees(found.readings[:, 1]) % 360, 90 - np.degrees(found.readings[:, 2])
+    hz, v = -np.degrees(recording.readings[:, 1]) % 360, 90 - np.degrees(recording.readings[:, 2])
     return [hz[0], v[0], hz[-1], v[-1]]
 
 
@@ -475,8 +477,8 @@ EXPECTED = [23 + 7.5 / 3600, 85 + 59 / 60 + 58.5 / 3600, 320 + 11 / 60 + 18.5 / 
 )
 def test_sexagesimal_angles_with_any_separator_of_fields(tmp_path: Path, form: str, separator: str) -> None:
     rows = sexagesimal_rows(form)
-    found = read(written(tmp_path / "a.csv", separator.join(("Stn", "Pt", "HA", "VA", "SD")), rows, separator))
-    assert first_angles(found) == pytest.approx(EXPECTED, abs=1e-9)
+    recording = read(written(tmp_path / "a.csv", separator.join(("Stn", "Pt", "HA", "VA", "SD")), rows, separator))
+    assert first_angles(recording) == pytest.approx(EXPECTED, abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -493,14 +495,14 @@ def test_minutes_and_seconds_below_merged_titles(tmp_path: Path, header: str) ->
         [station, target, *hz.split(), *v.split(), d]
         for station, target, hz, v, d in sexagesimal_rows("{d} {m} {s:.1f}")
     ]
-    found = read(written(tmp_path / "a.csv", header, rows))
-    assert first_angles(found) == pytest.approx(EXPECTED, abs=1e-9)
+    recording = read(written(tmp_path / "a.csv", header, rows))
+    assert first_angles(recording) == pytest.approx(EXPECTED, abs=1e-9)
 
 
 def test_untitled_columns_that_hold_no_minutes_are_not_joined(tmp_path: Path) -> None:
     rows = [[*row[:2], "23", "71", *row[3:]] for row in sexagesimal_rows("{d}")]
-    found = read(written(tmp_path / "a.csv", "Station;Point;Hz [deg];;V [deg];SD", rows))
-    assert first_angles(found)[0] == pytest.approx(23.0)
+    recording = read(written(tmp_path / "a.csv", "Station;Point;Hz [deg];;V [deg];SD", rows))
+    assert first_angles(recording)[0] == pytest.approx(23.0)
 
 
 def test_few_packed_angles_are_questioned(tmp_path: Path) -> None:
@@ -509,8 +511,8 @@ def test_few_packed_angles_are_questioned(tmp_path: Path) -> None:
     advice = "horizontal=Hz[dms],zenith=Zenith[dms]"
     with pytest.raises(RecordError, match=f"may be decimal numbers or ddd.mmss.*{re.escape(advice)}"):
         read(file)
-    found = read(file, hints=Hints(columns=advice))
-    assert first_angles(found)[0] == pytest.approx(EXPECTED[0], abs=1 / 3600)
+    recording = read(file, hints=Hints(columns=advice))
+    assert first_angles(recording)[0] == pytest.approx(EXPECTED[0], abs=1 / 3600)
     read(file, hints=Hints(angle="deg"))
 
 
@@ -545,9 +547,9 @@ def test_coordinates_with_a_common_word_are_positions(tmp_path: Path, header: st
     file = written(tmp_path / "a.csv", header, rows)
     with pytest.raises(RecordError, match="8 positions without point names, as a moving target gives"):
         read(file)
-    found = read(file, format="table", hints=Hints(station="T1"))
-    assert len(found.targets) == 8
-    assert found.readings[0, 0] == pytest.approx(np.linalg.norm([2.5001, 0.0402, -0.3003]), abs=1e-9)
+    recording = read(file, format="table", hints=Hints(station="T1"))
+    assert len(recording.targets) == 8
+    assert recording.readings[0, 0] == pytest.approx(np.linalg.norm([2.5001, 0.0402, -0.3003]), abs=1e-9)
 
 
 def test_advice_on_joint_angles_and_positions_without_titles(tmp_path: Path) -> None:

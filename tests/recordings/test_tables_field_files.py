@@ -78,14 +78,14 @@ def test_an_epoch_with_a_unit_of_time_is_the_time(tmp_path: Path, title: str, fa
     np.testing.assert_allclose(recording.time - recording.time[0], factor * np.arange(8), atol=1e-6)
 
 
-def test_rounds_of_one_pointing_are_no_rounds(tmp_path: Path) -> None:
+def test_rounds_of_a_single_pointing_are_no_rounds(tmp_path: Path) -> None:
     path = write(tmp_path / "a.csv", "Station;Point;Hz[deg];Zd[deg];D[m];Epoch", "{s};{t};{h};{z};{d};{n}")
     recording = read(path)
     assert_right(recording)
     assert any('--columns "time=Epoch[s]"' in note for note in recording.notes)
 
 
-def test_a_sigma_of_distances_beside_distances(tmp_path: Path) -> None:
+def test_a_sigma_of_distances_next_to_distances(tmp_path: Path) -> None:
     header = "Station;Point;Hz[deg];Zd[deg];sHz(mgon);sV(mgon);sD(mm);D[m]"
     recording = read(write(tmp_path / "a.csv", header, "{s};{t};{h};{z};0.3;0.4;0.6;{d}"))
     assert_right(recording)

@@ -70,7 +70,7 @@ def test_measured_vertical_angles_have_priority(tmp_path: Path) -> None:
     assert "dH" in recording.covariates
 
 
-def test_a_missing_unit_of_horizontal_angles_is_not_asked_for_as_one_of_elevations(tmp_path: Path) -> None:
+def test_a_missing_unit_of_horizontal_angles_is_not_reported_for_elevations(tmp_path: Path) -> None:
     (tmp_path / "survey.csv").write_text(table("dH", mark_to_mark=False))
     with pytest.raises(RecordError, match="may be horizontal angles in deg or horizontal angles in gon"):
         read(tmp_path / "survey.csv")

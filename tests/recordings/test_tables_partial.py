@@ -25,7 +25,7 @@ def read_rows(path: Path, rows: list[list[str]], header: str = HEADER) -> Record
     return read(path)
 
 
-def said(recording: Recording) -> str:
+def notes_text(recording: Recording) -> str:
     return "\n".join(recording.notes)
 
 
@@ -36,16 +36,16 @@ def test_merged_cells_hold_for_the_rows_below(tmp_path: Path) -> None:
     recording = read_rows(tmp_path / "a.csv", rows)
     assert recording.stations == ("A", "B")
     np.testing.assert_allclose(recording.covariates["instrument_height_mm"], [1683, 1683, 1548, 1548])
-    assert "2 rows without a station are assigned to the station of the row above" in said(recording)
-    assert "2 empty heights of instruments are taken from other rows of the same set-up" in said(recording)
+    assert "2 rows without a station are assigned to the station of the row above" in notes_text(recording)
+    assert "2 empty heights of instruments are taken from other rows of the same set-up" in notes_text(recording)
 
 
-def test_empty_heights_that_no_row_gives_are_said(tmp_path: Path) -> None:
+def test_empty_heights_that_no_row_gives_are_reported(tmp_path: Path) -> None:
     rows = [list(row) for row in ROWS]
     rows[2][6] = rows[3][6] = rows[1][7] = ""
     recording = read_rows(tmp_path / "a.csv", rows)
-    assert "heights of instruments are missing in 2 rows (B) and are taken as 0" in said(recording)
-    assert "heights of targets are missing in 1 rows (P2) and are taken as 0" in said(recording)
+    assert "heights of instruments are missing in 2 rows (B) and are taken as 0" in notes_text(recording)
+    assert "heights of targets are missing in 1 rows (P2) and are taken as 0" in notes_text(recording)
 
 
 @pytest.mark.parametrize("mark", ["", "-", "---", "N/A", "\u2013"])
@@ -54,7 +54,7 @@ def test_marks_of_missing_readings(tmp_path: Path, mark: str) -> None:
     assert np.isnan(recording.readings[4, 0]) and np.isfinite(recording.readings[:4]).all()
 
 
-def test_a_slope_distance_has_priority_over_a_horizontal_one(tmp_path: Path) -> None:
+def test_a_slope_distance_has_priority_over_a_horizontal_distance(tmp_path: Path) -> None:
     rows = [[*row[:5], f"{float(row[5]) - 0.1:.4f}", *row[5:]] for row in ROWS]
     rows[3][6] = ""
     recording = read_rows(tmp_path / "a.csv", rows, HEADER.replace("SD [m]", "HD [m];SD [m]"))
@@ -72,7 +72,7 @@ def test_an_unknown_unit_is_named(tmp_path: Path) -> None:
         read_rows(tmp_path / "a.csv", ROWS, HEADER.replace("gon", "mil"))
 
 
-def test_a_sheet_of_coordinates_beside_readings(tmp_path: Path) -> None:
+def test_a_sheet_of_coordinates_next_to_readings(tmp_path: Path) -> None:
     book = openpyxl.Workbook()
     sheet = book.active
     assert sheet is not None
@@ -85,11 +85,11 @@ def test_a_sheet_of_coordinates_beside_readings(tmp_path: Path) -> None:
     book.save(tmp_path / "a.xlsx")
     recording = read(tmp_path / "a.xlsx")
     assert recording.stations == ("A", "B")
-    assert "the coordinates in 'Stations' are not used" in said(recording)
+    assert "the coordinates in 'Stations' are not used" in notes_text(recording)
 
 
 @pytest.mark.parametrize("title", ["Z [gon]", "Z"])
-def test_z_beside_a_direction_and_a_distance_is_an_angle(tmp_path: Path, title: str) -> None:
+def test_z_next_to_a_direction_and_a_distance_is_an_angle(tmp_path: Path, title: str) -> None:
     recording = read_rows(tmp_path / "a.csv", ROWS, HEADER.replace("V [gon]", title))
     np.testing.assert_allclose(np.degrees(recording.readings[:, 2]) / 0.9, [1.5, -1.5, -1.5, 2.5])
 

@@ -45,7 +45,7 @@ def survey(
     return path
 
 
-def said(recording: Recording) -> str:
+def notes_text(recording: Recording) -> str:
     return "\n".join(recording.notes)
 
 
@@ -58,7 +58,7 @@ DAYS = [
 
 
 @pytest.mark.parametrize("by", ["set-up", "day"])
-def test_occupations_of_one_mark_are_set_ups_of_their_own(tmp_path: Path, by: str) -> None:
+def test_occupations_of_a_mark_are_separate_set_ups(tmp_path: Path, by: str) -> None:
     visits = [
         (mark, day, setup if by == "set-up" else "", turn, 10.0 * i)
         for i, (mark, day, setup, turn) in enumerate(DAYS * 2)
@@ -68,17 +68,17 @@ def test_occupations_of_one_mark_are_set_ups_of_their_own(tmp_path: Path, by: st
         file.write_text(file.read_text().replace("isetupid", "remark"))
     recording = read(file)
     assert recording.stations == ("A", "B", "A#2", "B#2")
-    assert f"4 occupations of 2 marks, distinguished by {by}, are separate set-ups" in said(recording)
+    assert f"4 occupations of 2 marks, distinguished by {by}, are separate set-ups" in notes_text(recording)
     assert {recording.station_setup(name).over for name in recording.stations} == {"A", "B"}
 
 
-def test_rounds_zeroed_anew_are_orientations_of_their_own(tmp_path: Path) -> None:
+def test_newly_zeroed_rounds_are_separate_orientations(tmp_path: Path) -> None:
     """By 20 arcsec where the table states 1: the heads stay where they are."""
     zeros = np.random.default_rng(1).normal(0.0, 20.0, 8) / 3600
     visits = [("A" if i % 4 < 2 else "B", "", "", i // 4 * 2 + i % 2, zero) for i, zero in enumerate(zeros.tolist())]
     recording = read(survey(tmp_path / "a.csv", visits, heights=False, sigmas=True))
     assert len(recording.stations) == 8
-    assert "the circle was rotated between rounds: 8 rounds are separate set-ups" in said(recording)
+    assert "the circle was rotated between rounds: 8 rounds are separate set-ups" in notes_text(recording)
     adjusted = lt.adjust(recording)
     assert 0.6 < adjusted.fit.sigma0 < 1.5
     still = read(survey(tmp_path / "b.csv", [(*visit[:4], 0.0) for visit in visits], heights=False, sigmas=True))
@@ -86,7 +86,7 @@ def test_rounds_zeroed_anew_are_orientations_of_their_own(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("title", ["Setup", "Occupation", "Aufstellung"])
-def test_a_set_up_beside_the_station_is_an_occupation(tmp_path: Path, title: str) -> None:
+def test_a_set_up_next_to_the_station_is_an_occupation(tmp_path: Path, title: str) -> None:
     visits = [(mark, "", setup, turn, 10.0 * i) for i, (mark, _, setup, turn) in enumerate(DAYS)]
     file = survey(tmp_path / "a.csv", visits, heights=True)
     file.write_text(file.read_text().replace("isetupid", title))
@@ -102,10 +102,10 @@ def repeated(path: Path, zeros: list[float], digits: int = 4, wrong: int = -1) -
     """Rounds of two stations to the same targets without a column of rounds; `zeros` [deg] of the circle by round."""
     survey(path, [(mark, "", "", 1, zero) for zero in zeros for mark in "AB" for _ in (0,)], heights=True)
     rows = [line.split(",") for line in path.read_text().splitlines()]
-    kept = [[*row[:2], *row[5:7], f"{float(row[7]):.{digits}f}" if i else row[7]] for i, row in enumerate(rows)]
+    columns = [[*row[:2], *row[5:7], f"{float(row[7]):.{digits}f}" if i else row[7]] for i, row in enumerate(rows)]
     if wrong >= 0:
-        kept[wrong][2] = f"{(float(kept[wrong][2]) + 50.0) % 360:.5f}"
-    path.write_text("\n".join(map(",".join, kept)) + "\n")
+        columns[wrong][2] = f"{(float(columns[wrong][2]) + 50.0) % 360:.5f}"
+    path.write_text("\n".join(map(",".join, columns)) + "\n")
     return path
 
 
@@ -113,14 +113,14 @@ def test_a_circle_set_anew_is_recognised_without_a_column_of_rounds(tmp_path: Pa
     zeros = [0.0, 0.0, 120.0, 120.0, 240.0, 240.0]
     recording = read(repeated(tmp_path / "a.csv", zeros))
     assert recording.stations == ("A", "B", "A#2", "B#2", "A#3", "B#3")
-    assert "6 orientations at 2 occupations" in said(recording)
+    assert "6 orientations at 2 occupations" in notes_text(recording)
     assert lt.adjust(recording).fit.sigma0 < 1.5
     assert read(repeated(tmp_path / "b.csv", [0.0] * 6)).stations == ("A", "B")
     assert read(repeated(tmp_path / "c.csv", [0.0] * 6, wrong=20)).stations == ("A", "B")
     assert read(repeated(tmp_path / "d.csv", zeros, digits=7)).stations == recording.stations  # whatever the digits
 
 
-def test_one_wrong_direction_turns_no_circle(tmp_path: Path) -> None:
+def test_a_single_wrong_direction_rotates_no_circle(tmp_path: Path) -> None:
     visits = [("A", "", "", i, 0.0) for i in range(4)] + [("B", "", "", i, 0.0) for i in range(4)]
     file = survey(tmp_path / "a.csv", visits, heights=True)
     lines = file.read_text().splitlines()
@@ -131,7 +131,7 @@ def test_one_wrong_direction_turns_no_circle(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("digits", "heights"), [(4, False), (4, True), (5, True)])
-def test_ranges_that_no_tracker_prints_have_a_total_stations_noise_and_it_is_said_first(
+def test_ranges_that_no_tracker_prints_get_the_noise_of_a_total_station_and_a_note(
     tmp_path: Path, digits: int, heights: bool
 ) -> None:
     visits = [("A", "", "", 1, 0.0), ("B", "", "", 1, 0.0)]
@@ -168,8 +168,8 @@ def test_a_column_that_separates_the_set_ups_is_suggested_as_the_station(tmp_pat
     with pytest.raises(RecordError, match=f'"station={title}"') as refused:
         read(file)
     assert "distances to the same target differ by" in str(refused.value)
-    found = read(file, hints=Hints(columns=f"station={title}"))
-    assert len(found.stations) == len(recording.stations)
+    suggested = read(file, hints=Hints(columns=f"station={title}"))
+    assert len(suggested.stations) == len(recording.stations)
     file.write_text("\n".join([header, *(f",,,{row.split(',', 3)[3]}" for row in rows)]) + "\n")
     with pytest.raises(RecordError, match="add a column station"):
         read(file)
@@ -189,7 +189,7 @@ def test_another_height_of_the_instrument_is_another_occupation(tmp_path: Path) 
 
     recording = table(["1.5", "1.6", "1.55"])
     assert recording.stations == ("A", "B", "A#2")
-    assert "3 occupations of 2 marks, distinguished by height of the instrument, are separate set-ups" in said(
+    assert "3 occupations of 2 marks, distinguished by height of the instrument, are separate set-ups" in notes_text(
         recording
     )
     assert table(["1.5", "1.6", "1.5"]).stations == ("A", "B")
@@ -205,10 +205,10 @@ def test_heights_without_a_unit_are_plausible_ones(tmp_path: Path, distance: str
     file.write_text("\n".join([f"Station;Point;Hz [gon];V [gon];{title};IH;TH", *rows]) + "\n")
     recording = read(file)
     np.testing.assert_allclose(recording.covariates["instrument_height_mm"], 1683.0)
-    assert f"'IH' is interpreted as instrument_height_mm, in {unit}" in said(recording)
+    assert f"'IH' is interpreted as instrument_height_mm, in {unit}" in notes_text(recording)
 
 
-def test_a_reading_with_an_unknown_unit_is_not_left_out(tmp_path: Path) -> None:
+def test_a_reading_with_an_unknown_unit_is_not_excluded(tmp_path: Path) -> None:
     file = tmp_path / "a.csv"
     file.write_text("Station;Point;Hz [gon];V [%];SD [m]\nA;P;1.5;2.5;12.3\n")
     with pytest.raises(RecordError, match=r"column 'V \[%\]' has the unknown unit '%'; convert it to one of deg"):
@@ -216,7 +216,7 @@ def test_a_reading_with_an_unknown_unit_is_not_left_out(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("station", "target"), [("00", ""), ("", "00")])
-def test_a_set_up_and_a_target_of_another_spelling_are_one_mark(tmp_path: Path, station: str, target: str) -> None:
+def test_a_set_up_and_a_target_of_another_spelling_are_the_same_mark(tmp_path: Path, station: str, target: str) -> None:
     """As a workbook drops leading zeros in one of two columns."""
     lines = survey(tmp_path / "a.csv", [(*visit, 30.0) for visit in DAYS], heights=True).read_text().splitlines()
     numbers = {"A": "1", "B": "2"}
@@ -227,7 +227,7 @@ def test_a_set_up_and_a_target_of_another_spelling_are_one_mark(tmp_path: Path, 
     (tmp_path / "a.csv").write_text("\n".join(rows) + "\n")
     recording = read(tmp_path / "a.csv")
     assert {recording.station_setup(name).over for name in recording.stations} == {f"{target}1", f"{target}2"}
-    assert f"are one mark: '{station}1' and '{target}1'" in said(recording)
+    assert f"are one mark: '{station}1' and '{target}1'" in notes_text(recording)
     rows = [line.replace(f",{target}2,", f",{target}1,") for line in rows]  # the set-up sees this target
     (tmp_path / "a.csv").write_text("\n".join(rows) + "\n")
-    assert "are one mark" not in said(read(tmp_path / "a.csv"))
+    assert "are one mark" not in notes_text(read(tmp_path / "a.csv"))

@@ -30,7 +30,7 @@ def slipped(recording: Recording, slip: WrongColumnConversion) -> Recording:
 
 
 @pytest.mark.parametrize("slip", [*UNIT_AND_CONVENTION_ERRORS, *WRONG_FACE_ERRORS], ids=lambda slip: slip.name)
-def test_what_is_mended_is_what_was_read(slip: WrongColumnConversion) -> None:
+def test_corrected_readings_are_the_original_readings(slip: WrongColumnConversion) -> None:
     readings = np.random.default_rng(3).uniform(0.1, 3.0, (9, 3))
     written = slip.with_error(readings)
     np.testing.assert_allclose(slip.without_error(written), readings, rtol=1e-14)
@@ -47,16 +47,16 @@ def test_the_effect_knows_every_slip_and_no_other() -> None:
 
 
 @pytest.mark.parametrize("slip", ANGULAR, ids=lambda slip: slip.name)
-def test_lengths_tell_which_slip_a_network_on_one_face_holds(slip: WrongColumnConversion) -> None:
+def test_lengths_identify_the_transcription_error_of_a_network_on_a_single_face(slip: WrongColumnConversion) -> None:
     recording, _ = network(seed=2)
     wrong = slipped(recording, slip)
     assert error_from_lengths(recording.readings, recording.station, recording.target) is None
-    found = error_from_lengths(wrong.readings, recording.station, recording.target)
-    assert found is not None
-    np.testing.assert_allclose(found.without_error(wrong.readings), recording.readings, atol=1e-12)
+    error = error_from_lengths(wrong.readings, recording.station, recording.target)
+    assert error is not None
+    np.testing.assert_allclose(error.without_error(wrong.readings), recording.readings, atol=1e-12)
 
 
-def test_a_network_in_gon_on_one_face_is_refused_with_what_would_fit(tmp_path: Path) -> None:
+def test_a_network_in_gon_on_a_single_face_is_refused_with_a_proposal(tmp_path: Path) -> None:
     recording, _ = network(seed=2)
     gon = next(slip for slip in UNIT_AND_CONVENTION_ERRORS if slip.name == "gon")
     with pytest.raises(RecordError, match="agree if the column contains gon; expected degrees"):

@@ -55,7 +55,7 @@ def test_a_part_that_no_spreadsheet_packs_so_is_refused(method: int, tmp_path: P
         read(tmp_path / "a.xlsx")
 
 
-def test_of_parts_with_one_name_the_last_is_read(tmp_path: Path) -> None:
+def test_of_parts_with_equal_name_the_last_is_read(tmp_path: Path) -> None:
     file = workbook(tmp_path / "a.xlsx")
     whole = read(file, hints=Hints(azimuth="clockwise"))
     with zipfile.ZipFile(io.BytesIO(file.read_bytes())) as archive:

@@ -65,33 +65,35 @@ def test_tolerances_are_of_the_parameters_that_they_name(two_faces: Any) -> None
             lt.recover(SCENE, tolerance=words, **how)
 
 
-def test_ltsim_stands_beside_it_on_the_same_recordings(two_faces: Any) -> None:
+def test_ltsim_is_scored_on_the_same_recordings(two_faces: Any) -> None:
     result = lt.recover(SCENE, trials=6, seed=2, calibrator=two_faces)
-    found, own = result.arrays, lt.recover(SCENE, trials=6, seed=2).arrays
-    k = own.parameter_names.index("beam-tilt")
-    beside = [
-        trial.ltsim_score.estimates[found.parameter_names.index("beam-tilt")] for trial in found.available_trial_scores
+    arrays, scores = result.arrays, lt.recover(SCENE, trials=6, seed=2).arrays
+    k = scores.parameter_names.index("beam-tilt")
+    estimates = [
+        trial.ltsim_score.estimates[arrays.parameter_names.index("beam-tilt")]
+        for trial in arrays.available_trial_scores
     ]
-    assert beside == pytest.approx([trial.estimates[k] for trial in own.available_trial_scores], rel=1e-12)
-    assert result.ltsim_parameters == own.parameter_names
+    assert estimates == pytest.approx([trial.estimates[k] for trial in scores.available_trial_scores], rel=1e-12)
+    assert result.ltsim_parameters == scores.parameter_names
     (sentence,) = result.unestimated_parameter_sentences()
     assert (
-        f"estimates {len(ERRORS)} parameters" in sentence and f"ltsim estimates {len(own.parameter_names)}" in sentence
+        f"estimates {len(ERRORS)} parameters" in sentence
+        and f"ltsim estimates {len(scores.parameter_names)}" in sentence
     )
-    others = [name for name in own.parameter_names if name not in ERRORS]
+    others = [name for name in scores.parameter_names if name not in ERRORS]
     assert f"also {others[0]}, " in sentence and sentence in str(result)
     assert lt.recover(SCENE, trials=2, seed=2).unestimated_parameter_sentences() == []
     table = result.to_dataframe("parameters")
-    assert tuple(table["parameter"]) == found.parameter_names and np.all(
+    assert tuple(table["parameter"]) == arrays.parameter_names and np.all(
         table["absolute_error_difference_low"] <= table["absolute_error_difference_high"]
     )
 
 
 def test_effects_are_recovered_by_name() -> None:
     scene = lt.scenario(SCENE, {"effects": [{"name": "head-sag", "draw": True}]})
-    found = lt.recover(scene, trials=12, seed=3, with_effects=["head-sag"], errors="drawn")
-    effect = [p.parameter for p in found.parameters if p.parameter.startswith("head-sag:")]
-    assert effect and not [check for check in found.failed_checks() if check.subject in effect]
+    recovery = lt.recover(scene, trials=12, seed=3, with_effects=["head-sag"], errors="drawn")
+    effect = [p.parameter for p in recovery.parameters if p.parameter.startswith("head-sag:")]
+    assert effect and not [check for check in recovery.failed_checks() if check.subject in effect]
 
 
 def test_a_program_is_called_with_a_recording_and_its_answer_is_checked(
@@ -116,9 +118,9 @@ def test_a_program_is_called_with_a_recording_and_its_answer_is_checked(
     )
     program.write_text("raise SystemExit('my own reason')")
     assert run([*command, "-q"]) == 1
-    said = capfd.readouterr().err
-    assert "convergence fails" in said
-    assert "ended with status 1 for trial 1; its last line was: my own reason" in said
+    error_text = capfd.readouterr().err
+    assert "convergence fails" in error_text
+    assert "ended with status 1 for trial 1; its last line was: my own reason" in error_text
     assert run([*command[:-1], "mine"]) == 2 and "lacks {recording}" in capfd.readouterr().err
     assert run([*command[:-1], "no-such-program {recording} {out}"]) == 2
 
@@ -147,10 +149,10 @@ def test_checks_are_a_function_of_estimate_sigma_and_truth() -> None:
     ],
 )
 def test_a_result_that_is_not_as_documented_is_a_failed_trial(given: Any, reason: str) -> None:
-    found = lt.recover(SCENE, trials=2, calibrator=lambda recording: given)
-    assert not found.passed and found.trials_with_result == 0
-    assert found.failed_checks()[0].subject == "convergence"
-    assert reason in found.failure_sentences()[0]
+    recovery = lt.recover(SCENE, trials=2, calibrator=lambda recording: given)
+    assert not recovery.passed and recovery.trials_with_result == 0
+    assert recovery.failed_checks()[0].subject == "convergence"
+    assert reason in recovery.failure_sentences()[0]
 
 
 BROKEN_PROGRAMS = {
@@ -231,17 +233,17 @@ def test_of_many_parameters_without_a_sigma_three_are_named() -> None:
     values = dict.fromkeys(("beam-tilt", "transit-tilt", "range-offset", "range-scale"), (0.0, None))
     units = dict(zip(values, ("urad", "urad", "um", "ppm"), strict=True))
     silent = {name: (*given, units[name]) for name, given in values.items()}
-    found = lt.recover("paper-workshop", trials=2, calibrator=lambda recording: silent)
-    sentence = found.failure_sentences()[-1]
-    assert len(found.unchecked_parameters) == 4
+    recovery = lt.recover("paper-workshop", trials=2, calibrator=lambda recording: silent)
+    sentence = recovery.failure_sentences()[-1]
+    assert len(recovery.unchecked_parameters) == 4
     assert sentence.startswith("4 of 4 parameters (")
     assert " and 1 more) are not checked: the calibrator does not declare" in sentence
 
 
 def test_a_sigma_in_a_part_of_the_trials_is_none() -> None:
     sigmas = iter([3.0, None, 3.0])
-    found = lt.recover(SCENE, trials=3, calibrator=lambda recording: {"beam-tilt": (8.0, next(sigmas), "urad")})
-    assert found.unchecked_parameters == ("beam-tilt",) and not found.passed
+    recovery = lt.recover(SCENE, trials=3, calibrator=lambda recording: {"beam-tilt": (8.0, next(sigmas), "urad")})
+    assert recovery.unchecked_parameters == ("beam-tilt",) and not recovery.passed
 
 
 def test_a_shift_inside_the_intervals_fails_by_its_mean(two_faces: Any) -> None:
@@ -257,14 +259,14 @@ def test_a_shift_inside_the_intervals_fails_by_its_mean(two_faces: Any) -> None:
 def test_units_and_order_may_differ_from_trial_to_trial_but_not_the_parameters() -> None:
     answers = iter([{"beam-tilt": (8e-6, 3e-6, "rad"), "transit-tilt": (5.0, 3.0, "urad")},
                     {"transit-tilt": (5.0, 3.0, "urad"), "beam-tilt": (0.008, 0.003, "mrad")}])  # fmt: skip
-    found = lt.recover(SCENE, trials=2, calibrator=lambda recording: next(answers)).arrays
+    arrays = lt.recover(SCENE, trials=2, calibrator=lambda recording: next(answers)).arrays
     assert (
-        found.available_trial_scores[0].parameter_units
-        == found.available_trial_scores[1].parameter_units
+        arrays.available_trial_scores[0].parameter_units
+        == arrays.available_trial_scores[1].parameter_units
         == ("urad", "urad")
     )
     np.testing.assert_allclose(
-        [trial.estimates for trial in found.available_trial_scores], [found.available_trial_scores[0].true_values] * 2
+        [trial.estimates for trial in arrays.available_trial_scores], [arrays.available_trial_scores[0].true_values] * 2
     )
     answers = iter([{"beam-tilt": (8.0, 3.0, "urad")}, {"transit-tilt": (5.0, 3.0, "urad")}])
     partial = lt.recover(SCENE, trials=2, calibrator=lambda recording: next(answers))
@@ -277,22 +279,22 @@ def test_three_failures_of_a_calibrator_end_the_run(jobs: int, tmp_path: Path) -
     program = tmp_path / "mine.py"
     program.write_text("raise RuntimeError('license server not reachable')")
     command = f"{sys.executable} {program} {{recording}} {{out}}"
-    found = lt.recover(SCENE, trials=40, calibrator=command, jobs=jobs)
-    assert found.trials == 3 and not found.passed
-    assert found.failure_sentences()[0].startswith("the run ended after 3 failures of the calibrator: '")
+    recovery = lt.recover(SCENE, trials=40, calibrator=command, jobs=jobs)
+    assert recovery.trials == 3 and not recovery.passed
+    assert recovery.failure_sentences()[0].startswith("the run ended after 3 failures of the calibrator: '")
     assert (
         "status 1 for trial 2; its last line was: RuntimeError: license server not reachable"
-        in found.failure_sentences()[0]
+        in recovery.failure_sentences()[0]
     )
     assert lt.recover(SCENE, trials=5, calibrator=lambda recording: None).trials == 3
 
 
 def test_checks_of_arrays_cannot_pass_with_nothing_to_judge_by() -> None:
-    one, two = np.zeros((1, 2)), np.zeros((2, 2))
+    empty, two = np.zeros((1, 2)), np.zeros((2, 2))
     for estimate, sigma, says in (
         (two, None, "neither sigma nor tolerance"),
-        (one, one + 1, "expected 2 or more"),
-        (two, one + 1, "give one sigma per estimate"),
+        (empty, empty + 1, "expected 2 or more"),
+        (two, empty + 1, "give one sigma per estimate"),
     ):
         with pytest.raises(ModelError, match=says):
             recovery_checks(estimate, sigma, estimate)

@@ -64,9 +64,9 @@ def test_every_built_in_scenario_is_recovered(name: str) -> None:
 @EVERY_SCENARIO
 def test_every_built_in_scenario_is_recovered_in_many_trials(name: str) -> None:
     """Errors over their sigmas as they are, of a table that is stated among them, and as the check expects them."""
-    found = run_recovery(name, 1000, jobs=2)
-    assert [c.sentence() for c in found.failed_checks()] == []
-    trials = found.arrays
+    recovery_result = run_recovery(name, 1000, jobs=2)
+    assert [c.sentence() for c in recovery_result.failed_checks()] == []
+    trials = recovery_result.arrays
     z = trials.z_scores
     assert np.abs(z.mean(axis=0)).max() < 0.15
     deviation, covered = (
@@ -85,10 +85,10 @@ def test_every_built_in_scenario_is_recovered_in_many_trials(name: str) -> None:
 @pytest.mark.long
 def test_the_reflectors_error_is_recovered_without_a_prior() -> None:
     """A table is a set of parameters: an effect that is estimated freely finds it within its uncertainty."""
-    found = lt.recover("paper-workshop", trials=24, seed=5, with_effects="smr-incidence")
-    names = [p.parameter for p in found.parameters if p.parameter.startswith("smr-incidence:")]
+    recovery = lt.recover("paper-workshop", trials=24, seed=5, with_effects="smr-incidence")
+    names = [p.parameter for p in recovery.parameters if p.parameter.startswith("smr-incidence:")]
     assert len(names) == len(SmrIncidence.parameters)
-    assert [c.sentence() for c in found.failed_checks()] == []
+    assert [c.sentence() for c in recovery.failed_checks()] == []
 
 
 @pytest.mark.long
@@ -110,8 +110,8 @@ def test_the_paper_chain_recovers_itself() -> None:
     scenario = load_scenario("paper-workshop-two-face")
     instrument = scenario.instrument.model_copy(update={"construction": "dh"})
     scenario = scenario.model_copy(update={"instrument": instrument})
-    found = recovery(*run_recovery_trials(scenario, 100, RecoverySettings(), seed=3, jobs=2))
-    assert [c.sentence() for c in found.failed_checks()] == []
+    recovery_result = recovery(*run_recovery_trials(scenario, 100, RecoverySettings(), seed=3, jobs=2))
+    assert [c.sentence() for c in recovery_result.failed_checks()] == []
 
 
 @pytest.mark.parametrize("error_key", family(["transit-offset", "beam-tilt"]))
@@ -150,11 +150,11 @@ def test_errors_are_drawn_whatever_the_scenario_says() -> None:
 
 def with_errors(name: str, **errors: float | bool) -> Scenario:
     scenario = load_scenario(name)
-    stated = {key.replace("_", "-"): value for key, value in errors.items()}
-    return scenario.model_copy(update={"instrument": scenario.instrument.model_copy(update={"errors": stated})})
+    settings = {key.replace("_", "-"): value for key, value in errors.items()}
+    return scenario.model_copy(update={"instrument": scenario.instrument.model_copy(update={"errors": settings})})
 
 
-def test_stated_errors_are_injected_as_stated_and_recovered() -> None:
+def test_declared_errors_are_injected_as_declared_and_recovered() -> None:
     scenario = with_errors("paper-workshop-two-face", beam_tilt=30.0, transit_offset=-12.0, draw=True)
     result = lt.recover(scenario, trials=15, seed=4)
     assert result.error_origin == "stated"
@@ -164,7 +164,7 @@ def test_stated_errors_are_injected_as_stated_and_recovered() -> None:
     assert truth.instrument_values["beam-tilt"] == pytest.approx(30e-6)
 
 
-def test_a_stated_error_far_off_its_prior_is_said_not_to_be_recovered() -> None:
+def test_a_declared_error_far_off_its_prior_is_reported_not_to_be_recovered() -> None:
     """A range scale stated 20 prior sigmas large, which the gauge alone tells."""
     scenario = with_errors("paper-workshop-re-aimed", draw=True, range_scale=40.0)
     failures = lt.recover(scenario, trials=15, seed=4).failed_checks()
@@ -172,7 +172,7 @@ def test_a_stated_error_far_off_its_prior_is_said_not_to_be_recovered() -> None:
     assert any("coverage" in failure.statistic for failure in failures)
 
 
-def test_a_scatter_smaller_than_stated_fails_with_stated_errors_too() -> None:
+def test_a_scatter_smaller_than_declared_fails_with_declared_errors_too() -> None:
     """Readings half as noisy as stated: the errors less what the prior makes of them scatter too little."""
     scenario = with_errors("paper-workshop-two-face", beam_tilt=30.0, draw=False)
     quiet = scenario.model_copy(update={"instrument": scenario.instrument.model_copy(update={"noise_factor": 0.5})})
@@ -182,7 +182,7 @@ def test_a_scatter_smaller_than_stated_fails_with_stated_errors_too() -> None:
 
 
 @pytest.mark.parametrize("method", ["network", "distance"])
-def test_stated_errors_of_one_of_several_trackers_are_recovered(method: str) -> None:
+def test_declared_errors_of_a_tracker_among_several_are_recovered(method: str) -> None:
     errors = {"instruments.B.errors": {"draw": True, "beam-tilt": 30.0, "vertical-index": -25.0}}
     scenario = change_scenario(load_scenario("two-trackers"), errors, Path("hall.toml"))
     result = lt.recover(scenario, trials=10, seed=2, method=method)
@@ -212,7 +212,7 @@ def test_tolerances_are_those_of_the_specification_for_many_trials() -> None:
         assert not all(check.passed for check in parameter_checks("x", wrong, RECOVERY_FALSE_ALARM_RATE / 48))
 
 
-def test_chance_alone_fails_one_run_in_a_hundred() -> None:
+def test_chance_alone_fails_1_run_in_100() -> None:
     """Runs of a check on pure normal numbers: the share that fails, against its stated rate."""
     rng = np.random.default_rng(0)
     runs, count, size = 150, 30, 16
@@ -240,21 +240,23 @@ def errors_of(trials: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     errors, sigmas, inner = [], [], []
     for trial in range(trials):
         recording, truth = measure_trial(work, 5, trial)
-        found = calibrate_network(recording, recommend_measurements=False)
-        true = np.array([truth.instrument_values[name] for name in found.instrument_parameter_names])
-        held = found.adjustment.state  # the first station stands where it was put; the truth is moved there
+        calibration = calibrate_network(recording, recommend_measurements=False)
+        true = np.array([truth.instrument_values[name] for name in calibration.instrument_parameter_names])
+        held = calibration.adjustment.state  # the first station stands where it was put; the truth is moved there
         turn = truth.station_rotations[0] @ held.station_rotations[0].T
         points = (truth.target_points - truth.station_positions[0]) @ turn + held.station_positions[0]
         place = (truth.station_positions[1:] - truth.station_positions[0]) @ turn + held.station_positions[0]
-        stood = np.array([s.position for s in found.stations[1:]])
+        stood = np.array([s.position for s in calibration.stations[1:]])
         errors.append(
-            np.concatenate([found.estimates[0] - true, (found.target_points - points).ravel(), (stood - place).ravel()])
+            np.concatenate(
+                [calibration.estimates[0] - true, (calibration.target_points - points).ravel(), (stood - place).ravel()]
+            )
         )
-        spread = np.sqrt(np.einsum("tii->ti", found.target_covariances))
-        poses = np.array([s.sigma_position for s in found.stations[1:]])
-        sigmas.append(np.concatenate([found.sigma[0], spread.ravel(), poses.ravel()]))
-        predicted = np.einsum("tii->", found.adjustment.with_inner_datum().target_covariances) / len(points)
-        inner.append(target_error(found.target_points, points) ** 2 / predicted)
+        spread = np.sqrt(np.einsum("tii->ti", calibration.target_covariances))
+        poses = np.array([s.sigma_position for s in calibration.stations[1:]])
+        sigmas.append(np.concatenate([calibration.sigma[0], spread.ravel(), poses.ravel()]))
+        predicted = np.einsum("tii->", calibration.adjustment.with_inner_datum().target_covariances) / len(points)
+        inner.append(target_error(calibration.target_points, points) ** 2 / predicted)
     return np.array(errors), np.array(sigmas), np.array(inner)
 
 

@@ -13,7 +13,7 @@ import pytest
 from matplotlib import image
 
 NAMES = ("chromium", "chromium-browser", "google-chrome")
-OWN_HOSTS = ("google", "gvt1", "gstatic", "chromium")
+BROWSER_HOSTS = ("google", "gvt1", "gstatic", "chromium")
 """The browser itself calls its maker; nothing of that comes from the page."""
 
 FLAGS = (
@@ -35,9 +35,9 @@ class SetupModel:
 def find_browser() -> str:
     """Path of a browser; skips the test where there is none."""
     for name in NAMES:
-        found = shutil.which(name)
-        if found:
-            return found
+        path = shutil.which(name)
+        if path:
+            return path
     pytest.skip("there is no headless browser (Debian: apt-get install chromium): pages are not looked at")
 
 
@@ -58,9 +58,9 @@ def _asked(log: Path) -> list[str]:
     """Addresses in the browser's log that are no part of the page and not the browser's own."""
     text = log.read_text(errors="replace").rstrip()
     events = json.loads(text if text.endswith("}") else text.rstrip(",") + "]}")["events"]
-    found = {str((event.get("params") or {}).get("url", "")) for event in events}
+    urls = {str((event.get("params") or {}).get("url", "")) for event in events}
     return sorted(
         url
-        for url in found
-        if url.startswith(("http:", "https:", "ws:", "wss:")) and not any(own in url for own in OWN_HOSTS)
+        for url in urls
+        if url.startswith(("http:", "https:", "ws:", "wss:")) and not any(host in url for host in BROWSER_HOSTS)
     )

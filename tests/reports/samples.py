@@ -137,18 +137,24 @@ def sweep_folder(folder: Path, trials: int = 20) -> Path:
         {"name": "repeats", "keys": ["work.repeats"], "unit": "", "kind": "integer"},
     ]
     names = [factor["name"] for factor in factors]
-    levels = [dict(zip(names, own, strict=True)) for own in product((8, 14, 24), (0.2, 0.4, 0.8), (1, 2, 4))]
+    levels = [
+        dict(zip(names, levels_of_cell, strict=True))
+        for levels_of_cell in product((8, 14, 24), (0.2, 0.4, 0.8), (1, 2, 4))
+    ]
     manifest = {
         "format": "ltsim-campaign-rows/1", "title": "Swept", "seed": 11, "trials": trials, "methods": ["network"],
-        "factors": factors, "cells": [{"cell": c, "label": "", "levels": own} for c, own in enumerate(levels)],
+        "factors": factors,
+        "cells": [{"cell": c, "label": "", "levels": of_cell} for c, of_cell in enumerate(levels)],
         "settings": {"scenario": "paper-workshop"},
     }  # fmt: skip
-    for cell, own in enumerate(levels):
+    for cell, levels_of_cell in enumerate(levels):
         rows = _rows(cell, "network", trials)
-        size = own["angle_noise_arcsec"] * 100 / np.sqrt(own["targets"] * own["repeats"])
+        size = (
+            levels_of_cell["angle_noise_arcsec"] * 100 / np.sqrt(levels_of_cell["targets"] * levels_of_cell["repeats"])
+        )
         error = size * (1 + 0.1 * random_stream(3, "sweep", cell).standard_normal(trials))
         rows = rows.append_column("target_error_um", pa.array(error, pa.float32()))
-        for name, value in own.items():
+        for name, value in levels_of_cell.items():
             rows = rows.append_column(name, pa.array([value] * trials))
         place = folder / "rows" / f"cell-{cell:04d}"
         place.mkdir(parents=True)
@@ -188,7 +194,7 @@ REFLECTOR_CHANGES = [
 def plan_folder(folder: Path) -> Path:
     """A plan in the form of the planner's files, own-made, with the paper's workshop as its scenario."""
     scenario = load_scenario("paper-workshop")
-    own = {
+    broken = {
         "broken_rules": [], "hours": 2.25, "pointings": 140, "qualities": {"instrument": 0.2},
         "stations": [
             {"name": name, "position_mm": s.position_mm, "yaw_deg": s.yaw_deg, "sigma_position_um": [1, 2, 3]}
@@ -197,12 +203,12 @@ def plan_folder(folder: Path) -> Path:
         "parameters": [{"name": "beam-tilt", "unit": "urad", "sigma": 3.2, "prior_sigma": 9.7}],
     }  # fmt: skip
     ways = [(3, 1, 1.35, 0.14, True), (4, 1, 1.8, 0.12, True), (5, 1, 2.25, 0.1, True), (3, 2, 2.0, 0.13, False)]
-    content = own | {
+    content = broken | {
         "format": "ltsim-plan-result/1", "title": "Own-made plan",
         "summary": "5 stations determine the instrument twice as well as the scenario's own.",
         "reasons": ["S1 at (1.78, 1.02) m: without it the quality is 14 % worse."], "qualities": {"instrument": 0.1},
         "parameters": [{"name": "beam-tilt", "unit": "urad", "sigma": 1.1, "prior_sigma": 9.7}],
-        "reference_layout": own,
+        "reference_layout": broken,
         "tradeoff_points": [
             {"station_count": n, "faces": f, "repeats": 1, "pointings": 28 * n * f, "hours": h, "objective_value": q,
              "qualities": {"instrument": q}, "is_efficient": best}

@@ -49,10 +49,10 @@ def test_scene_is_drawn_without_asking_anybody(tmp_path: Path) -> None:
     find_browser()
     file = tmp_path / "scene.html"
     file.write_text(scene_page(workshop_scene.workshop_from_recording(samples.recording())))
-    seen = visit(file, tmp_path, width=900, height=700)
-    assert clean(seen.console) == []
-    assert seen.asked == []
-    middle = seen.picture[150:600, 200:700]
+    page_view = visit(file, tmp_path, width=900, height=700)
+    assert clean(page_view.console) == []
+    assert page_view.asked == []
+    middle = page_view.picture[150:600, 200:700]
     assert len(np.unique((255 * middle).astype(np.uint8).reshape(-1, 3), axis=0)) > 300
     assert (middle < 0.97).any(axis=2).mean() > 0.5
 
@@ -81,10 +81,10 @@ def test_scene_turns_by_touch(tmp_path: Path) -> None:
 
 
 def test_report_opens_without_error_or_request(page: Path, tmp_path: Path) -> None:
-    seen = visit(page, tmp_path, height=3000)
-    assert clean(seen.console) == []
-    assert seen.asked == []
-    dark = (seen.picture < 0.6).all(axis=2).mean(axis=1)
+    page_view = visit(page, tmp_path, height=3000)
+    assert clean(page_view.console) == []
+    assert page_view.asked == []
+    dark = (page_view.picture < 0.6).all(axis=2).mean(axis=1)
     assert (dark > 0).mean() > 0.3
 
 
@@ -94,9 +94,9 @@ def test_canvas_of_the_report_is_drawn(page: Path, tmp_path: Path) -> None:
     style = "<style>header, main > section > :not(figure:has(.scene)), figure > h3 { display: none }</style></head>"
     click = '<script>addEventListener("load", () => document.querySelector(".scene button").click())</script></body>'
     file.write_text(html.replace("</head>", style, 1).replace("</body>", click, 1))
-    seen = visit(file, tmp_path, width=1000, height=640)
-    assert clean(seen.console) == []
-    middle = seen.picture[150:500, 250:750]
+    page_view = visit(file, tmp_path, width=1000, height=640)
+    assert clean(page_view.console) == []
+    middle = page_view.picture[150:500, 250:750]
     assert len(np.unique((255 * middle).astype(np.uint8).reshape(-1, 3), axis=0)) > 300
 
 
@@ -138,8 +138,8 @@ def assert_nothing_is_cut_on_a_phone(html: str, tmp_path: Path) -> None:
     outer.write_text(
         '<body style="margin:0"><iframe src="inner.html" style="border:0;width:390px;height:3000px"></iframe>'
     )
-    seen = visit(outer, tmp_path, width=600, height=3000)
-    assert clean(seen.console) == []
-    said = [line for line in seen.console if "WIDTH" in line]
-    assert len(said) == 1
-    assert "WIDTH 390 of 390, cut: none, broken: none" in said[0]
+    page_view = visit(outer, tmp_path, width=600, height=3000)
+    assert clean(page_view.console) == []
+    lines = [line for line in page_view.console if "WIDTH" in line]
+    assert len(lines) == 1
+    assert "WIDTH 390 of 390, cut: none, broken: none" in lines[0]

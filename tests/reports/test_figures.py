@@ -109,14 +109,14 @@ def parameter_history_figure() -> Figure:
     labels = ("2021-09", "2021-10", MARKUP)
     values = np.array([1.0, 2.0, 1.5])
     test = ChiSquareEntry(chi2=1.0, dof=2, p_value=0.6)
-    told = {
+    constant = {
         "unit": "urad",
         "sigmas": (0.3, 0.3, 0.3),
         "mean": 1.5,
         "between_calibration_sigma": 0.5,
         "constancy_test": test,
     }
-    courses = [ParameterHistory(name=f"parameter-{i}", values=tuple(values * (i + 1)), **told) for i in range(3)]
+    courses = [ParameterHistory(name=f"parameter-{i}", values=tuple(values * (i + 1)), **constant) for i in range(3)]
     return estimates.parameter_history_figure(labels, courses)
 
 
@@ -209,10 +209,10 @@ def field_check_figure() -> Figure:
 def displacement_figure() -> Figure:
     draws = random_stream(3, "figure").standard_normal((2, 6, 3))
     names = ["T1", "T1", "T1", "T1", "T1", MARKUP]
-    told = {"sigma_um": (1, 1, 1), "covariance_um2": np.eye(3).tolist(), "p_value": 0.5, "detectable_um": (1, 2)}
+    epoch = {"sigma_um": (1, 1, 1), "covariance_um2": np.eye(3).tolist(), "p_value": 0.5, "detectable_um": (1, 2)}
     displacements = [
         {"target": name, "moved": i in (0, 5), "position_mm": (1e3 * place).tolist(),
-         "displacement_um": (20 * shift).tolist(), "semi_axes_um": (15, 15, 15), **told}
+         "displacement_um": (20 * shift).tolist(), "semi_axes_um": (15, 15, 15), **epoch}
         for i, (name, place, shift) in enumerate(zip(names, *draws, strict=True))
     ]  # fmt: skip
     whole = {
@@ -300,8 +300,8 @@ def pixels(figure: Figure) -> np.ndarray:
 
 def test_every_figure_is_drawn_here() -> None:
     modules = (estimates, floors, marked_floors, misfits, points, sweeps)
-    drawings = [one for module in modules for one in vars(module).values() if hasattr(one, "__wrapped__")]
-    assert {one.__name__ for one in drawings} <= set(DRAWINGS)
+    drawings = [item for module in modules for item in vars(module).values() if hasattr(item, "__wrapped__")]
+    assert {item.__name__ for item in drawings} <= set(DRAWINGS)
 
 
 @pytest.mark.parametrize("draw", DRAWINGS.values(), ids=DRAWINGS)
@@ -344,16 +344,18 @@ def many_correlations() -> Figure:
 
 
 @pytest.mark.parametrize("draw", [*DRAWINGS.values(), many_correlations], ids=[*DRAWINGS, "many"])
-def test_words_stand_apart_and_inside(draw: Callable[[], Figure]) -> None:
+def test_labels_do_not_overlap_and_are_inside(draw: Callable[[], Figure]) -> None:
     """Titles, names of axes and of ticks neither run over each other nor over the edge of the picture."""
     figure = drawn(draw)
     figure.draw_without_rendering()
     edge = figure.bbox.padded(1.0)
     titles, ticks = [], []
     for ax in (a for a in figure.axes if a.axison):
-        beside = [t.label1 for t in ax.yaxis.get_major_ticks() if t.label1.get_text()]
+        tick_labels = [t.label1 for t in ax.yaxis.get_major_ticks() if t.label1.get_text()]
         written = [t for t in ax.texts if t.get_text() and t.get_visible()]
-        over = [t.get_text() for t in written for b in beside if t.get_window_extent().overlaps(b.get_window_extent())]
+        over = [
+            t.get_text() for t in written for b in tick_labels if t.get_window_extent().overlaps(b.get_window_extent())
+        ]
         assert not over, f"{over} in the names of the axis"
         headings = [t for t in ax.get_children() if isinstance(t, Text) and t not in ax.texts]
         titles += [t for t in (*headings, ax.xaxis.label, ax.yaxis.label) if t.get_text() and t.get_visible()]
@@ -393,9 +395,9 @@ def test_labels_lose_what_they_share() -> None:
 
 
 def test_drawing_changes_no_global_setting() -> None:
-    kept = dict(mpl.rcParams)
+    settings = dict(mpl.rcParams)
     criteria_before_after_figure()
-    assert dict(mpl.rcParams) == kept
+    assert dict(mpl.rcParams) == settings
 
 
 def test_numbers_read_like_numbers() -> None:
@@ -446,8 +448,8 @@ def test_panels_above_nothing_have_ticks_and_nothing_is_shaded_where_nothing_spr
     rows = [sweeps.SweepPoint(x, "network", panel, 1.0, 0.9, 1.1, 1.0, 1.0) for x in (1.0, 2.0) for panel in "abc"]
     figure = sweeps.sweep_panels_figure(rows, statistic_title="error [µm]", x_title="noise")
     figure.draw_without_rendering()
-    seen = [any(t.get_visible() and t.get_text() for t in ax.get_xticklabels()) for ax in figure.axes[:3]]
-    assert seen == [False, True, True]
+    is_labelled = [any(t.get_visible() and t.get_text() for t in ax.get_xticklabels()) for ax in figure.axes[:3]]
+    assert is_labelled == [False, True, True]
     assert sweeps.CENTRAL_90_PERCENT_LABEL not in [t.get_text() for t in figure.legends[0].get_texts()]
 
 
@@ -505,10 +507,10 @@ SIGHTS = {
 
 
 @pytest.mark.parametrize("sight", SIGHTS)
-def test_every_pair_of_colours_is_told_apart_by_every_eye(sight: str) -> None:
-    seen = {c: lightness_and_hue(c, np.array(SIGHTS[sight])) for c in style.COLOUR_CYCLE}
-    for one, other in itertools.combinations(style.COLOUR_CYCLE, 2):
-        assert np.linalg.norm(seen[one] - seen[other]) > 14, f"{one} and {other}"
+def test_every_pair_of_colours_is_distinguishable_by_every_eye(sight: str) -> None:
+    colours = {c: lightness_and_hue(c, np.array(SIGHTS[sight])) for c in style.COLOUR_CYCLE}
+    for first, other in itertools.combinations(style.COLOUR_CYCLE, 2):
+        assert np.linalg.norm(colours[first] - colours[other]) > 14, f"{first} and {other}"
 
 
 def test_no_figure_of_the_results_has_other_line_colours_than_the_common_ones(root: Path) -> None:

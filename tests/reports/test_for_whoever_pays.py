@@ -48,7 +48,7 @@ def test_instruments_head_a_report_where_nobody_says_which(folder: Path, tmp_pat
     assert dict(document_of_folder(place, about=ReportHeader(instrument="C")).header_lines)["instrument"] == "C"
 
 
-def test_results_of_one_recording_share_it(tmp_path: Path) -> None:
+def test_results_of_the_same_recording_share_it(tmp_path: Path) -> None:
     """A calibration beside another that carries the recording: the workshop is drawn once."""
     made = samples.recording()
     for verb in ("calibrate", "diagnose"):
@@ -87,7 +87,7 @@ def test_a_wrong_head_gets_a_sentence(line: str, words: str, folder: Path, tmp_p
         read(place)
 
 
-def test_hidden_stands_beside_found_with_every_constant(tmp_path: Path) -> None:
+def test_injected_and_reported_values_are_listed_for_every_constant(tmp_path: Path) -> None:
     """The hall in 3D, both curves, and each hidden value; the time constant was a dash."""
     place = samples.diagnosis_folder(tmp_path)
     truth = {

@@ -115,7 +115,7 @@ def test_demo_tells_everything_once(contents: dict[str, Document]) -> None:
     assert content.title == "Diagnosis: test network"  # what it is, not the folder's name
 
 
-def test_a_recording_that_lies_in_two_folders_is_told_once(tmp_path: Path) -> None:
+def test_a_recording_that_lies_in_two_folders_is_reported_once(tmp_path: Path) -> None:
     """As `ltsim convert` leaves one, and `ltsim diagnose` another beside its result."""
     samples.calibration_folder(tmp_path)
     shutil.copytree(tmp_path / "recording", tmp_path / "calibration" / "recording")
@@ -138,11 +138,11 @@ def test_signature_shows_the_finding(contents: dict[str, Document]) -> None:
 def test_a_swap_is_shown_as_who_stands_for_whom_and_says_what_to_do(tmp_path: Path) -> None:
     target = samples.diagnosis_folder(tmp_path)
     shutil.copy(target / "residuals.csv", target / "residuals_before.csv")  # written with the names put right
-    told = json.loads((target / "diagnosis.json").read_text())
+    content = json.loads((target / "diagnosis.json").read_text())
     first, second = samples.recording().targets[:2]
     where = {"observables": [], "stations": ["S3"], "targets": [first, second], "covariates": []}
-    told["findings"][0] |= {"effect": "target-swap", "where": where, "separate_by": ""}
-    (target / "diagnosis.json").write_text(json.dumps(told))
+    content["findings"][0] |= {"effect": "target-swap", "where": where, "separate_by": ""}
+    (target / "diagnosis.json").write_text(json.dumps(content))
     shown = document_of_folder(target)
     titles = [block.title for block in shown.sections[0].blocks]
     assert "Place of finding 1" in titles and "Effect of finding 1" not in titles
@@ -158,9 +158,9 @@ def test_report_of_a_folder_without_recording_still_tells(folder: Path, tmp_path
 @pytest.mark.parametrize(("p", "shown"), [(0.0, "< 1e-6"), (0.03, "0.06"), (None, "–")])
 def test_a_p_value_of_nothing_is_shown_as_small_and_none_as_a_dash(p: float | None, shown: str, tmp_path: Path) -> None:
     target = samples.diagnosis_folder(tmp_path)
-    told = json.loads((target / "diagnosis.json").read_text())
-    told["global_test"]["p_value"] = p
-    (target / "diagnosis.json").write_text(json.dumps(told))
+    content = json.loads((target / "diagnosis.json").read_text())
+    content["global_test"]["p_value"] = p
+    (target / "diagnosis.json").write_text(json.dumps(content))
     facts = {fact.name: fact.value for section in document_of_folder(target).sections for fact in section.key_figures}
     assert facts["global test, two-sided p"] == shown
 
@@ -207,7 +207,7 @@ def test_broken_input_gets_a_sentence_and_no_page(name: str, text: str, words: s
     assert sorted(p.name for p in tmp_path.iterdir()) == [name]
 
 
-def test_nothing_to_report_is_said(tmp_path: Path) -> None:
+def test_nothing_to_report_is_reported(tmp_path: Path) -> None:
     with pytest.raises(RecordError, match="contains no results"):
         report(tmp_path)
     with pytest.raises(RecordError, match="does not exist"):
@@ -295,21 +295,21 @@ def test_history_says_whether_the_instrument_has_changed(tmp_path: Path) -> None
 
 def test_the_first_screen_of_a_diagnosis_is_short_and_the_details_follow(tmp_path: Path) -> None:
     folder = samples.diagnosis_folder(tmp_path)
-    document, told = document_of_folder(folder), json.loads((folder / "diagnosis.json").read_text())
+    document, content = document_of_folder(folder), json.loads((folder / "diagnosis.json").read_text())
     assert len(document.summary) < 400
     assert document.summary.startswith("The readings contradict the model: ")
     assert "ause: " in document.summary and "probability" in document.summary
     assert document.summary.endswith(f"What to do: {document.next_actions[0]}")
     details = next(block for section in document.sections for block in section.blocks if block.title == "Details")
-    assert told["summary"][1:] in details.text
+    assert content["summary"][1:] in details.text
 
 
-def test_coordinates_of_a_moved_target_are_said_to_be_from_before_its_motion(tmp_path: Path) -> None:
+def test_coordinates_of_a_moved_target_are_reported_as_before_its_motion(tmp_path: Path) -> None:
     target = samples.diagnosis_folder(tmp_path)
-    told = json.loads((target / "diagnosis.json").read_text())
+    content = json.loads((target / "diagnosis.json").read_text())
     where = {"observables": [], "stations": [], "targets": ["T05"], "covariates": []}
-    told["findings"] = [told["findings"][0] | {"effect": "target-moved", "where": where, "separate_by": ""}]
-    (target / "diagnosis.json").write_text(json.dumps(told))
+    content["findings"] = [content["findings"][0] | {"effect": "target-moved", "where": where, "separate_by": ""}]
+    (target / "diagnosis.json").write_text(json.dumps(content))
     *_, use = document_of_folder(target).next_actions
     assert use.endswith(" The coordinates of T05 refer to the time before the motion.")
 
@@ -343,14 +343,14 @@ def test_damaged_history_and_proposals_are_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "report.html").exists()
 
 
-def test_calibration_says_what_was_left_out_and_which_noise_was_found(tmp_path: Path) -> None:
+def test_calibration_reports_rejected_readings_and_estimated_noise(tmp_path: Path) -> None:
     made = samples.recording()
     readings = made.readings.copy()
     readings[20, 0] += 3e-4
-    found = calibrate_network(
+    calibration = calibrate_network(
         made.with_readings(readings), recommend_measurements=False, robust=True, noise_from_data=True
     )
-    write_calibration(found, tmp_path / "cal")
+    write_calibration(calibration, tmp_path / "cal")
     content = document_of_folder(tmp_path / "cal")
     assert "the noise was estimated from the same readings" in content.summary
     assert "1 reading did not fit and were left out" not in content.summary
@@ -367,7 +367,7 @@ def test_calibration_says_what_was_left_out_and_which_noise_was_found(tmp_path: 
     assert note.text.startswith("One reading is an outlier. Trust the ")
 
 
-def test_a_predicted_acceptance_test_is_not_called_kept(tmp_path: Path) -> None:
+def test_a_predicted_acceptance_test_is_not_called_passed(tmp_path: Path) -> None:
     specification = {"format": "ltsim-acceptance/1", "standard": "asme-b89.4.19-2006", "instrument": "leica-at500"}
     (tmp_path / "my.toml").write_text("\n".join(f'{key} = "{value}"' for key, value in specification.items()))
     assert run(["accept", str(tmp_path / "my.toml"), "--out", str(tmp_path / "out"), "-q"]) == 0
@@ -415,13 +415,13 @@ def test_the_page_of_a_diagnosis_needs_no_3d(folder: Path, tmp_path: Path) -> No
     assert "Floor plan" in {block.title for section in document_of_folder(alone).sections for block in section.blocks}
 
 
-def test_targets_without_a_height_are_told_in_plan() -> None:
-    known, open_ = [1e-6, 2e-6, 2e-6], [3e-3, 4e-3, np.nan]
-    assert target_uncertainty_sentence(np.array([known, known])) == (
+def test_targets_without_a_height_are_reported_in_plan() -> None:
+    sigmas, open_ = [1e-6, 2e-6, 2e-6], [3e-3, 4e-3, np.nan]
+    assert target_uncertainty_sentence(np.array([sigmas, sigmas])) == (
         "Expanded uncertainty of a target in space: U = 6.0 um (k = 2), 6.0 um for the worst."
     )
-    said = target_uncertainty_sentence(np.array([known, open_, open_]))
-    assert said == "Expanded uncertainty of a target in plan: U = 10000 um (k = 2), 10000 um for the worst."
+    sentence = target_uncertainty_sentence(np.array([sigmas, open_, open_]))
+    assert sentence == "Expanded uncertainty of a target in plan: U = 10000 um (k = 2), 10000 um for the worst."
     assert not target_uncertainty_sentence(np.full((2, 3), np.nan))
 
 

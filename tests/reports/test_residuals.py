@@ -34,14 +34,14 @@ def test_residuals_of_the_calibrated_network_are_white() -> None:
 
 
 def test_other_noise_is_no_change_of_the_residuals() -> None:
-    stated = Residuals.from_adjustment(samples.after())
+    declared = Residuals.from_adjustment(samples.after())
     louder = replace(
-        stated, normalised_residual=0.5 * stated.normalised_residual
+        declared, normalised_residual=0.5 * declared.normalised_residual
     )  # as if the noise had been found twice as large
-    assert louder.normalised_by_noise_of(stated).normalised_residual == pytest.approx(stated.normalised_residual)
+    assert louder.normalised_by_noise_of(declared).normalised_residual == pytest.approx(declared.normalised_residual)
     assert np.isnan(
         louder.normalised_by_noise_of(
-            replace(stated, data_row_numbers=stated.data_row_numbers + 10_000)
+            replace(declared, data_row_numbers=declared.data_row_numbers + 10_000)
         ).normalised_residual
     ).all()
 

@@ -73,18 +73,18 @@ def test_cone_ends_on_its_shadow(scene: workshop_scene.WorkshopScene) -> None:
     plotter.close()
 
 
-def test_ellipsoids_have_the_stated_magnification(scene: workshop_scene.WorkshopScene) -> None:
+def test_ellipsoids_have_the_declared_magnification(scene: workshop_scene.WorkshopScene) -> None:
     assert scene.target_covariances is not None
-    one = replace(
+    single = replace(
         scene,
         targets=scene.targets[:1],
         target_points=scene.target_points[:1],
         target_covariances=scene.target_covariances[:1],
     )
-    one = replace(one, nest_normals=one.nest_normals[:1], gauge_pairs=(), sights=None, target_corrections=None)
-    plotter, legend = scene3d.build_scene(one)
-    stated = next(line for line in legend.lines if "sigma" in line)
-    factor = float("".join(c for c in stated.split("enlarged")[1] if c.isdigit()))
+    single = replace(single, nest_normals=single.nest_normals[:1], gauge_pairs=(), sights=None, target_corrections=None)
+    plotter, legend = scene3d.build_scene(single)
+    magnification_line = next(line for line in legend.lines if "sigma" in line)
+    factor = float("".join(c for c in magnification_line.split("enlarged")[1] if c.isdigit()))
     bounds = np.array(plotter.actors["ellipsoids"].bounds)
     half = 0.5 * (bounds[1::2] - bounds[::2])
     sigma = np.sqrt(np.diag(scene.target_covariances[0]))
@@ -125,7 +125,7 @@ def test_station_names_may_be_long_or_foreign(scene: workshop_scene.WorkshopScen
     assert len(html) > 1e6
 
 
-def test_a_name_that_would_cover_another_is_left_out_and_that_is_said(scene: workshop_scene.WorkshopScene) -> None:
+def test_a_name_that_would_cover_another_is_excluded_and_that_is_reported(scene: workshop_scene.WorkshopScene) -> None:
     places = scene.target_points.copy()
     places[1] = places[0]
     words = {}
@@ -158,8 +158,8 @@ def test_obstacle_hides_and_is_drawn() -> None:
     assert len(shown.blocked_sights) == 140 - len(shown.sights.station_indices)
     drawn = floor_plan(shown)
     assert any("slices are" in text.get_text() for text in drawn.legends[0].get_texts())
-    seen = [len(dots.get_offsets()) for dots in drawn.axes[0].collections if len(dots.get_paths()[0]) == 26]
-    _circles, *slices = seen
+    counts = [len(dots.get_offsets()) for dots in drawn.axes[0].collections if len(dots.get_paths()[0]) == 26]
+    _circles, *slices = counts
     assert slices == np.bincount(shown.sights.station_indices, minlength=5).tolist()
     plotter, _ = scene3d.build_scene(shown)
     bounds = plotter.actors["obstacles"].bounds
@@ -191,7 +191,7 @@ def test_a_body_of_many_triangles_takes_no_more_of_a_page_than_its_picture() -> 
     assert sizes[1] - sizes[0] < 100_000
 
 
-def test_too_many_stations_are_said_and_not_drawn(scene: workshop_scene.WorkshopScene) -> None:
+def test_too_many_stations_are_reported_and_not_drawn(scene: workshop_scene.WorkshopScene) -> None:
     """3,000 stations took minutes: each is drawn by itself."""
     copies = 501
     many = replace(

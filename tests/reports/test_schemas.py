@@ -32,7 +32,7 @@ FOLDERS = {
 
 
 @pytest.mark.parametrize("model", RESULT_MODELS, ids=lambda model: model.FILE)
-def test_every_format_is_said_once_and_has_a_schema(model: Any) -> None:
+def test_every_format_is_listed_once_and_has_a_schema(model: Any) -> None:
     schema = json_schemas()[model.FILE]
     assert schema["properties"]["format"]["const"] == model.model_fields["format"].default
     assert f"`{model.FILE}`" in schema["description"].partition("\n\n")[0]
@@ -53,7 +53,7 @@ def test_schemas_are_written_for_the_documentation(tmp_path: Path) -> None:
     assert {p.name for p in tmp_path.iterdir()} == {f"{name}.schema.json" for name in json_schemas()} | {"tables.json"}
     listed = json.loads((tmp_path / "tables.json").read_text())
     assert listed == companion_table_descriptions()
-    assert all(column["about"] for beside in listed.values() for table in beside for column in table["columns"])
+    assert all(column["about"] for files in listed.values() for table in files for column in table["columns"])
 
 
 @pytest.mark.parametrize(
@@ -66,7 +66,7 @@ def test_schemas_are_written_for_the_documentation(tmp_path: Path) -> None:
         (lambda c: c["outliers"].append({"row": 1}), "outliers.0.station: Field required"),
     ],
 )
-def test_a_damaged_calibration_gets_one_sentence(change: Any, words: str, tmp_path: Path) -> None:
+def test_a_damaged_calibration_is_refused_in_a_sentence(change: Any, words: str, tmp_path: Path) -> None:
     file = samples.calibration_folder(tmp_path) / "calibration.json"
     content = json.loads(file.read_text())
     change(content)
@@ -86,7 +86,7 @@ def test_a_damaged_calibration_gets_one_sentence(change: Any, words: str, tmp_pa
         ("7", "cells|sin"),
     ],
 )
-def test_other_damaged_files_get_one_sentence(name: str, text: str, words: str, tmp_path: Path) -> None:
+def test_other_damaged_files_are_refused_in_a_sentence(name: str, text: str, words: str, tmp_path: Path) -> None:
     FOLDERS[name](tmp_path / "made")
     file = tmp_path / "made" / name
     content = json.loads(file.read_text())
@@ -148,7 +148,7 @@ def test_a_scenario_of_a_campaign_has_a_tracker(tmp_path: Path) -> None:
         report(file.parent)
 
 
-def test_ragged_history_gets_one_sentence(tmp_path: Path) -> None:
+def test_ragged_history_is_refused_in_a_sentence(tmp_path: Path) -> None:
     file = samples.history_folder(tmp_path / "made") / "history.json"
     content = json.loads(file.read_text())
     content["parameters"][3]["values"].pop()
@@ -195,9 +195,9 @@ def test_names_that_a_spreadsheet_would_compute_are_text_and_come_back(tmp_path:
     text = targets_table(NAMES, points, np.tile(1e-10 * np.eye(3), (8, 1, 1))).csv_text()
     assert [line[0] for line in text.splitlines()[1:6]] == ["'"] * 5
     (tmp_path / "targets.csv").write_text(text)
-    names, found, _ = read_targets(tmp_path / "targets.csv")
+    names, targets, _ = read_targets(tmp_path / "targets.csv")
     assert names == NAMES
-    assert np.allclose(found, points)
+    assert np.allclose(targets, points)
 
 
 def test_residuals_of_such_names_come_back(tmp_path: Path) -> None:
@@ -206,5 +206,5 @@ def test_residuals_of_such_names_come_back(tmp_path: Path) -> None:
     (tmp_path / "residuals.csv").write_text(
         residuals_table(adjust(made.replace(targets=names, setup=Setup()))).csv_text()
     )
-    found = Residuals.read(tmp_path / "residuals.csv")
-    assert set(found.target_names.tolist()) == set(names)
+    residuals = Residuals.read(tmp_path / "residuals.csv")
+    assert set(residuals.target_names.tolist()) == set(names)

@@ -96,14 +96,14 @@ def test_the_evidence_of_an_effect_in_every_adjustment_is_not_called_a_failed_fi
 
 def test_the_answer_numbers_several_causes_and_names_no_formula_for_a_reference_value(tmp_path: Path) -> None:
     """A wrong control point was a `formula`, and a test without a p-value had an empty line."""
-    told = copy.deepcopy(samples.DIAGNOSIS)
-    wrong = copy.deepcopy(told["findings"][0])
+    content = copy.deepcopy(samples.DIAGNOSIS)
+    wrong = copy.deepcopy(content["findings"][0])
     wrong |= {"effect": "unknown", "known": False, "formula": "", "carrier": "reference coordinates"}
     wrong |= {"sentence": "The control point P10 is wrong by 2.0 mm.", "parameters": []}
     wrong["where"] = {"observables": [], "stations": [], "targets": ["P10"], "covariates": ["place"]}
     wrong["evidence"] |= {"p_value": None, "probability": 0.001}
-    told["findings"] = [told["findings"][0], wrong]
-    section = diagnosis_section(Diagnosis.model_validate_json(json.dumps(told)), SectionContext(folder=tmp_path))
+    content["findings"] = [content["findings"][0], wrong]
+    section = diagnosis_section(Diagnosis.model_validate_json(json.dumps(content)), SectionContext(folder=tmp_path))
     assert "Cause 1: " in section.summary or "Possible cause 1: " in section.summary
     assert "ause 2: an error of the reference coordinates at target P10 (probability < 1 %)." in section.summary
     assert f"What to do first: {section.next_actions[0]}" in section.summary
@@ -134,8 +134,8 @@ def prose(section: Section) -> list[str]:
 
 def test_the_page_of_a_diagnosis_names_causes_by_their_titles(tmp_path: Path) -> None:
     content = copy.deepcopy(samples.DIAGNOSIS)
-    found = finding("station-bump", "index-drift").model_dump(mode="json", by_alias=True)
-    content["findings"].append(found)
+    finding_content = finding("station-bump", "index-drift").model_dump(mode="json", by_alias=True)
+    content["findings"].append(finding_content)
     section = diagnosis_section(Diagnosis.model_validate_json(json.dumps(content)), SectionContext(folder=tmp_path))
     texts = " ".join(prose(section))
     assert "bumped" in texts and "drift of the vertical index" in texts
@@ -169,7 +169,7 @@ def test_the_comparison_of_methods_counts_and_sizes_each_sign(sizes: tuple[float
     )
 
 
-def test_coverage_is_separate_where_the_noise_is_not_the_declared_one(tmp_path: Path) -> None:
+def test_coverage_is_separate_where_the_noise_differs_from_the_declared_noise(tmp_path: Path) -> None:
     section = campaign_section(samples.campaign_folder(tmp_path / "campaign"))
     tiles = [fact.name for fact in section.key_figures if fact.name.startswith("coverage")]
     assert tiles == ["coverage of 95 % intervals", "coverage of 95 % intervals with noise factor 2 (not declared)"]

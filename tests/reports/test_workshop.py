@@ -47,7 +47,7 @@ def test_shadow_is_a_cone_under_the_elevation_limit(scene: workshop_scene.Worksh
 
 def test_incidence_is_measured_on_the_walls(scene: workshop_scene.WorkshopScene) -> None:
     made = samples.recording()
-    fixed = {name: one.model_copy(update={"reaimed": False}) for name, one in made.setup.targets.items()}
+    fixed = {name: target.model_copy(update={"reaimed": False}) for name, target in made.setup.targets.items()}
     walls = workshop_scene.workshop_with_surroundings(scene, made.setup.model_copy(update={"targets": fixed}))
     sights = walls.with_sights_coloured_by("incidence").sights
     assert sights is not None
@@ -72,8 +72,8 @@ def test_corrections_are_the_change_by_calibration(scene: workshop_scene.Worksho
 def test_a_plan_whose_zero_lies_far_below_tells_no_floor() -> None:
     made = samples.recording()
     stations = {
-        name: one.model_copy(update={"position_mm": (*one.position_mm[:2], one.position_mm[2] + 360e3)})
-        for name, one in made.setup.stations.items()
+        name: station.model_copy(update={"position_mm": (*station.position_mm[:2], station.position_mm[2] + 360e3)})
+        for name, station in made.setup.stations.items()
     }
     scene = workshop_scene.workshop_from_recording(
         made.replace(setup=made.setup.model_copy(update={"stations": stations}))

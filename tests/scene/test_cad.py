@@ -70,7 +70,7 @@ def step_of(mesh: trimesh.Trimesh, unit: str) -> str:
 
 
 @pytest.mark.parametrize(("unit", "size"), [(".MILLI.", (2500, 1500, 2200)), ("$", (2.5, 1.5, 2.2))])
-def test_a_step_file_is_read_in_its_own_unit(unit: str, size: tuple[float, float, float], tmp_path: Path) -> None:
+def test_a_step_file_is_read_in_its_unit(unit: str, size: tuple[float, float, float], tmp_path: Path) -> None:
     pytest.importorskip("cascadio", reason="the extra step is not installed")
     file = tmp_path / "box.step"
     file.write_text(step_of(trimesh.creation.box(bounds=[[0, 0, 0], size]), unit))
@@ -82,7 +82,7 @@ def test_a_step_file_is_read_in_its_own_unit(unit: str, size: tuple[float, float
 
 
 @pytest.mark.parametrize("suffix", [".step", ".stp", ".igs", ".iges"])
-def test_a_damaged_file_is_one_sentence_and_nothing_else(suffix: str, tmp_path: Path, capfd) -> None:
+def test_a_damaged_file_is_refused_in_a_sentence_without_further_output(suffix: str, tmp_path: Path, capfd) -> None:
     pytest.importorskip("cascadio", reason="the extra step is not installed")
     file = tmp_path / f"bad{suffix}"
     file.write_text(HEADER + "#1=NONSENSE(;\n")
@@ -91,7 +91,7 @@ def test_a_damaged_file_is_one_sentence_and_nothing_else(suffix: str, tmp_path: 
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_gltf_in_several_files_is_one_sentence(tmp_path: Path) -> None:
+def test_a_gltf_in_several_files_is_refused_in_a_sentence(tmp_path: Path) -> None:
     for name, content in trimesh.creation.box().export(file_type="gltf").items():
         (tmp_path / name).write_bytes(content)
     with pytest.raises(InputError, match=r"gltf: stores its surfaces in other files \(.*bin\); export it as .glb"):
@@ -157,10 +157,10 @@ def written(folder: Path, name: str, turn: np.ndarray = Y_UP_TO_Z_UP.T, **keys: 
         file.write_bytes(mesh.export(file_type="gltf", merge_buffers=True, embed_buffers=True)["model.gltf"])
     else:
         mesh.export(file)
-    own = "".join(f'{key} = "{value}"\n' for key, value in keys.items())
+    text = "".join(f'{key} = "{value}"\n' for key, value in keys.items())
     (folder / "points.csv").write_text("\n".join(["name,x_mm,y_mm,z_mm", *POINTS]))
     plan = folder / "plan.toml"
-    plan.write_text(HALL.replace('"FILE"\n', f'"{name}"\n{own}'))
+    plan.write_text(HALL.replace('"FILE"\n', f'"{name}"\n{text}'))
     return plan
 
 
@@ -246,7 +246,7 @@ def test_single_precision_at_grid_coordinates_is_refused_where_it_is_lost(suffix
 
 
 @pytest.mark.parametrize("suffix", [".stl", ".glb"])
-def test_a_body_that_vanishes_on_the_grid_is_one_sentence(suffix: str, tmp_path: Path) -> None:
+def test_a_body_that_vanishes_on_the_grid_is_refused_in_a_sentence(suffix: str, tmp_path: Path) -> None:
     file = tmp_path / f"body{suffix}"
     trimesh.creation.box(extents=(1e-9, 1e-9, 1e-9)).export(file)
     with pytest.raises(InputError, match=r"body\.\w+: has no triangle larger than 10 um"):

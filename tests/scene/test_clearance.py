@@ -20,15 +20,15 @@ MACHINE = join_obstacles([box([2.0, 1.0, 1.8], [0.0, 0.0, 0.9])], body_names=["m
 
 
 @pytest.mark.parametrize(
-    ("x", "y", "kept"),
+    ("x", "y", "has_room"),
     [(1.005, 0.0, False), (1.399, 0.0, False), (1.401, 0.0, True), (1.28, 0.78, False), (1.29, 0.79, True)],
 )
-def test_distance_from_a_machine_is_horizontal_and_round_at_its_corner(x: float, y: float, kept: bool) -> None:
+def test_distance_from_a_machine_is_horizontal_and_round_at_its_corner(x: float, y: float, has_room: bool) -> None:
     clearance = StandClearance(MACHINE, 0.4)
-    assert clearance.has_room(np.array([[x, y, 1.5], [x, y, 2.5]])).tolist() == [kept, kept]
+    assert clearance.has_room(np.array([[x, y, 1.5], [x, y, 2.5]])).tolist() == [has_room, has_room]
     distance, name = clearance.nearest_body(np.array([x, y, 1.5]))
     expected = np.hypot(max(x - 1.0, 0.0), max(y - 0.5, 0.0))
-    assert (distance, name) == ((np.inf, "") if kept else (pytest.approx(expected), "machine"))
+    assert (distance, name) == ((np.inf, "") if has_room else (pytest.approx(expected), "machine"))
 
 
 def test_bodies_above_the_instrument_and_the_floor_itself_do_not_matter() -> None:
@@ -57,10 +57,10 @@ def test_distances_are_those_of_sampled_points_of_all_triangles() -> None:
     heads = np.column_stack([rng.uniform(-4.0, 4.0, (300, 2)), rng.uniform(0.3, 3.0, 300)])
     weights = rng.dirichlet(np.ones(3), 3000)
     samples = np.einsum("kc,tcx->tkx", weights, body.triangles).reshape(-1, 3)
-    found = np.array([clearance.nearest_body(head)[0] for head in heads])
-    assert np.isfinite(found).sum() > 30
-    np.testing.assert_array_equal(clearance.has_room(heads), ~np.isfinite(found))
-    for head, distance in zip(heads, found, strict=True):
+    bodies = np.array([clearance.nearest_body(head)[0] for head in heads])
+    assert np.isfinite(bodies).sum() > 30
+    np.testing.assert_array_equal(clearance.has_room(heads), ~np.isfinite(bodies))
+    for head, distance in zip(heads, bodies, strict=True):
         below = samples[(samples[:, 2] > 0.0) & (samples[:, 2] < head[2]), :2]
         sampled = np.linalg.norm(below - head[:2], axis=1).min(initial=9.0)
         assert min(distance, 0.4) == pytest.approx(min(sampled, 0.4), abs=0.03)

@@ -34,7 +34,7 @@ def test_a_box_hides_what_is_behind_it_only() -> None:
     assert blocked((2, 0, 0.5), (4, 0, 0.5))
 
 
-def test_a_reflector_on_the_surface_is_seen_from_its_side() -> None:
+def test_a_reflector_on_the_surface_is_visible_from_its_side() -> None:
     assert not blocked((0, 0, 0.5), (1.5, 0, 0.5))
     assert blocked((4, 0, 0.5), (1.5, 0, 0.5))
 
@@ -68,14 +68,14 @@ def test_bodies_and_their_nearest_points_are_those_of_trimesh() -> None:
     """In the same order, too: places of nests are drawn by it."""
     size, radius = np.array([1.0, 2.0, 3.0]), 0.5 / np.cos(np.pi / N_CYLINDER_SIDES)
     peer = trimesh.creation.cylinder(radius=radius, height=2.0, sections=N_CYLINDER_SIDES)
-    for own, theirs in (
+    for triangles, theirs in (
         (box_triangles(size), trimesh.creation.box(extents=size)),
         (cylinder_triangles(1.0, 2.0), peer),
     ):
-        np.testing.assert_allclose(own, theirs.triangles - [0.0, 0.0, theirs.bounds[0, 2]], atol=1e-12)
+        np.testing.assert_allclose(triangles, theirs.triangles - [0.0, 0.0, theirs.bounds[0, 2]], atol=1e-12)
         for point in np.random.default_rng(4).uniform(-3, 3, (50, 3)):
-            expected = trimesh.triangles.closest_point(own, np.tile(point, (len(own), 1)))
-            np.testing.assert_allclose(nearest_points_on_triangles(own, point), expected, atol=1e-9)
+            expected = trimesh.triangles.closest_point(triangles, np.tile(point, (len(triangles), 1)))
+            np.testing.assert_allclose(nearest_points_on_triangles(triangles, point), expected, atol=1e-9)
 
 
 def test_a_point_of_a_hollow_cylinder_is_on_its_triangles_that_lie_off_it() -> None:
@@ -139,7 +139,7 @@ def test_cad_files_give_the_same_triangles(suffix: str, tmp_path: Path) -> None:
         ("part.obj", b"v 0 0 0\nv 1 0 0\n", "part.obj"),
     ],
 )
-def test_damaged_files_get_one_sentence(name: str, content: bytes, message: str, tmp_path: Path) -> None:
+def test_damaged_files_are_refused_in_a_sentence(name: str, content: bytes, message: str, tmp_path: Path) -> None:
     path = tmp_path / name
     path.write_bytes(content)
     with pytest.raises(InputError, match=message) as caught:

@@ -20,7 +20,7 @@ SIZE = np.array([2.5, 1.5, 2.2])
 @pytest.mark.parametrize(
     "triangles", [box_triangles(SIZE), box_triangles(SIZE)[:, ::-1]], ids=["wound out", "wound in"]
 )
-def test_places_on_a_box_lie_outside_on_its_faces_and_apart(triangles: Floats) -> None:
+def test_places_on_a_box_lie_outside_on_its_faces_at_a_distance(triangles: Floats) -> None:
     places = candidate_nest_positions(triangles, 0.04, 0.4)
     beyond = np.maximum(np.abs(places - [0, 0, SIZE[2] / 2]) - SIZE / 2, 0)
     assert np.linalg.norm(beyond, axis=1) == pytest.approx(0.04)
@@ -34,7 +34,7 @@ def test_places_on_a_box_lie_outside_on_its_faces_and_apart(triangles: Floats) -
     assert np.array_equal(places, candidate_nest_positions(triangles, 0.04, 0.4))
 
 
-def test_a_thin_pole_carries_no_nest_and_a_wide_one_does() -> None:
+def test_a_thin_pole_carries_no_nest_and_a_wide_pole_does() -> None:
     assert not len(candidate_nest_positions(cylinder_triangles(0.04, 0.05), 0.04, 0.2))
     places = candidate_nest_positions(cylinder_triangles(1.0, 2.0), 0.04, 0.3)
     assert len(places) > 10

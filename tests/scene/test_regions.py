@@ -50,7 +50,7 @@ def test_bending_is_the_weighted_gradient_across_the_line_of_sight() -> None:
     assert pull == pytest.approx(expected, abs=1e-5)
 
 
-def test_every_region_of_the_grid_is_passed_by_some_lines_and_lies_in_the_hall() -> None:
+def test_every_region_of_the_grid_is_crossed_by_lines_and_lies_in_the_hall() -> None:
     low, high = coordinate_extent(SCENE)
     regions = candidate_regions(SCENE)
     assert regions and len(set(regions)) == len(regions)
@@ -62,7 +62,7 @@ def test_every_region_of_the_grid_is_passed_by_some_lines_and_lies_in_the_hall()
         assert np.all(np.array(region.centre) > low[at]) and np.all(np.array(region.centre) < high[at])
 
 
-def test_neighbours_move_one_coordinate_or_the_width() -> None:
+def test_neighbours_change_a_single_coordinate_or_the_width() -> None:
     region = HallRegion("xy", (2.0, 3.0), 0.5)
     for other in region.local_search_variants():
         changed = [a != b for a, b in zip((*other.centre, other.width), (*region.centre, region.width), strict=True)]

@@ -129,10 +129,10 @@ def test_a_key_of_a_scenario_changes_something(key: str, value: Any, kind: Any, 
 
 @pytest.mark.parametrize("key", ELSEWHERE)
 def test_what_a_recording_does_not_show_is_a_key(key: str) -> None:
-    assert key in {known for known, _, _ in KEYS}
+    assert key in {entry for entry, _, _ in KEYS}
 
 
-def test_a_setting_that_finds_nothing_to_act_on_is_said() -> None:
+def test_a_setting_without_effect_is_reported() -> None:
     aimed = change_scenario(SCENARIO, {"smr.nest_orientation": "re-aimed", "smr.incidence_error": True}, HERE)
     assert any("smr-incidence" in note for note in simulate(aimed, 5)[0].notes)
     with pytest.raises(LtsimError, match="is used at no station"):

@@ -46,8 +46,8 @@ def test_points_are_recovered_from_their_distances(count: int, seed: int) -> Non
     points = np.random.default_rng(seed).uniform(-1, 1, (count, 3))
     first, second = np.array(list(combinations(range(count), 2))).T
     lengths = np.linalg.norm(points[first] - points[second], axis=1)
-    found = points_from_distances(count, first, second, lengths)
-    np.testing.assert_allclose(np.linalg.norm(found[first] - found[second], axis=1), lengths, atol=1e-9)
+    restored = points_from_distances(count, first, second, lengths)
+    np.testing.assert_allclose(np.linalg.norm(restored[first] - restored[second], axis=1), lengths, atol=1e-9)
 
 
 def square(diagonal_mm: float) -> list[dict[str, object]]:
@@ -56,7 +56,7 @@ def square(diagonal_mm: float) -> list[dict[str, object]]:
     return [{"from": a, "to": b, "length_mm": length} for a, b, length in pairs]
 
 
-def test_own_gauges_need_all_their_lengths_and_must_fit_in_space() -> None:
+def test_gauges_of_users_need_all_their_lengths_and_must_fit_in_space() -> None:
     table = {"targets": ("A", "B", "C", "D"), "position_mm": PLACE}
     assert len(make_gauge_frame(ScenarioGauge.model_validate({**table, "distance": square(300 * 2**0.5)})).lengths) == 6
     with pytest.raises(InputError, match="the lengths contradict each other"):

@@ -40,8 +40,8 @@ def test_nothing_else_is_changed(recording: Recording) -> None:
     assert np.abs(change[there, 0] + 30e-6).max() < 1e-12  # a correction is truth less reading
     assert not change[~there].any() and not change[:, 1:].any()
     assert made.setup == recording.setup and np.array_equal(made.time, recording.time)
-    (told,) = truth.to_json()["injected"]
-    assert told["stations"] == ["S3"] and told["parameters"] == [
+    (entry,) = truth.to_json()["injected"]
+    assert entry["stations"] == ["S3"] and entry["parameters"] == [
         {"parameter": "range-step", "value": 30.0, "unit": "um"}
     ]
 
@@ -59,7 +59,7 @@ def test_it_is_what_the_simulator_does() -> None:
 
 
 @pytest.mark.parametrize("cause", ["vertical-index:S2", "azimuth ~ sin(2 elevation)", "gauge-scale", "range-cyclic"])
-def test_noncentrality_is_what_the_adjustment_is_left_with(recording: Recording, cause: str) -> None:
+def test_noncentrality_is_what_the_adjustment_leaves(recording: Recording, cause: str) -> None:
     """On readings without noise the chi-square grows by the noncentrality, with all that is known believed."""
     still = adjust(recording, declared_construction(recording))
     exact = recording.with_readings(still.problem.model.predict(still.state))
@@ -69,7 +69,7 @@ def test_noncentrality_is_what_the_adjustment_is_left_with(recording: Recording,
     assert after - before == pytest.approx(200.0, rel=0.03)
 
 
-def test_noise_is_added_where_it_is_said(recording: Recording) -> None:
+def test_noise_is_added_at_the_given_places(recording: Recording) -> None:
     made, truth = lt.inject(recording, "station-noise:S4", noncentrality=300.0, seed=1)
     change, there = change_of(recording, made), recording.station == recording.stations.index("S4")
     assert not change[~there].any()
@@ -92,14 +92,14 @@ def test_a_swap_is_a_swap(recording: Recording) -> None:
 
 
 @pytest.mark.long
-def test_what_is_injected_is_found(recording: Recording) -> None:
+def test_injected_effects_are_detected(recording: Recording) -> None:
     made, truth = lt.inject(recording, "target-moved", noncentrality=400.0, seed=2)
-    found = lt.diagnose(made)
-    assert found.verdict == "mismatch"
-    assert list(found.findings[0].where.targets) == truth.to_json()["injected"][0]["targets"]
+    diagnosis = lt.diagnose(made)
+    assert diagnosis.verdict == "mismatch"
+    assert list(diagnosis.findings[0].where.targets) == truth.to_json()["injected"][0]["targets"]
 
 
-def test_what_is_not_said_is_drawn_where_it_can_be_seen(recording: Recording) -> None:
+def test_unspecified_places_are_drawn_where_the_effect_is_detectable(recording: Recording) -> None:
     """The moment of a bump at a station that is named lies within its visit."""
     _, truth = lt.inject(recording, "station-bump:S2", noncentrality=200.0, seed=3)
     there = recording.time[recording.station == recording.stations.index("S2")]
@@ -116,15 +116,15 @@ def test_a_row_of_the_curve_has_the_columns_of_its_table() -> None:
 
 @pytest.mark.long
 def test_the_curve_rises(recording: Recording) -> None:
-    found = lt.injection_curve(recording, "range-step:S3", strengths=(2.0, 300.0), injections=2, seed=1)
-    weak, strong = found.table().json_rows()
+    curve = lt.injection_curve(recording, "range-step:S3", strengths=(2.0, 300.0), injections=2, seed=1)
+    weak, strong = curve.table().json_rows()
     assert strong["detections"] == strong["placed"] == 2 > weak["detections"]
     assert strong["largest_um"] > 5 * weak["largest_um"]
     assert 0.0 <= strong["detections_low"] < 1.0 == strong["detections_high"]
 
 
 @pytest.mark.parametrize(
-    ("cause", "said"),
+    ("cause", "message"),
     [
         ("nonsense", "no effect called 'nonsense'"),
         ("range-step:S9", "'S9' is not a station"),
@@ -134,8 +134,8 @@ def test_the_curve_rises(recording: Recording) -> None:
         ("target-swap", "no parameter to scale"),
     ],
 )
-def test_what_cannot_be_is_said(recording: Recording, cause: str, said: str) -> None:
-    with pytest.raises(ModelError, match=said):
+def test_impossible_causes_are_refused(recording: Recording, cause: str, message: str) -> None:
+    with pytest.raises(ModelError, match=message):
         lt.inject(recording, cause, noncentrality=1e9)
 
 
@@ -144,7 +144,7 @@ def test_what_happens_after_the_last_pointing_changes_nothing_and_is_refused(rec
         lt.inject(recording, "target-moved:T05,time=1e6")
 
 
-def test_the_command_writes_a_recording_and_its_truth_apart(tmp_path: Path, recording: Recording) -> None:
+def test_the_command_writes_the_truth_to_a_separate_file(tmp_path: Path, recording: Recording) -> None:
     lt.write(recording, tmp_path / "rec")
     words = ["inject", str(tmp_path / "rec"), "range-step:S3", "--noncentrality", "100", "--quiet"]
     assert run([*words, "--out", str(tmp_path / "made"), "--truth", str(tmp_path / "truth.json")]) == 0
@@ -166,7 +166,7 @@ def test_an_effect_with_its_size_is_injected_as_in_words(recording: Recording) -
         lt.calibrate(recording, with_effects=lt.Effect("range-step", range_step=30))
 
 
-def test_a_list_of_causes_is_one_sentence() -> None:
+def test_a_list_of_causes_is_refused_in_a_sentence() -> None:
     recording, _ = lt.simulate("paper-workshop", seed=7)
     with pytest.raises(ModelError, match="separate arguments"):
         lt.inject(recording, ["index-drift"])  # type: ignore[arg-type]

@@ -28,16 +28,16 @@ def test_multilateration_from_scenario_to_coordinates(tmp_path: Path) -> None:
     lt.write(recording, tmp_path / "rec")
     assert "mirror image" in repr(lt.adjust(tmp_path / "rec"))
     rough = {name: Target(approximate_mm=tuple(np.round(1000 * p, -2).tolist())) for name, p in _places(truth)[::5]}
-    stated = lt.read(tmp_path / "rec")
-    found = lt.adjust(stated.replace(setup=stated.setup.model_copy(update={"targets": rough})))
-    assert "mirror image" not in repr(found)
-    places = dict(zip(found.target_names, found.target_points, strict=True))
+    recording_read = lt.read(tmp_path / "rec")
+    adjustment = lt.adjust(recording_read.replace(setup=recording_read.setup.model_copy(update={"targets": rough})))
+    assert "mirror image" not in repr(adjustment)
+    places = dict(zip(adjustment.target_names, adjustment.target_points, strict=True))
     points = np.array([places[name] for name in truth.target_names])
     rotation, shift, _ = align_with_scale(truth.target_points, points)
     gap = points - (truth.target_points @ rotation.T + shift)
     assert np.sqrt(np.mean(gap**2)) < 30e-6
-    assert found.fit.p_value is not None
-    assert found.fit.p_value > 0.001
+    assert adjustment.fit.p_value is not None
+    assert adjustment.fit.p_value > 0.001
 
 
 def _places(truth: Truth) -> list[tuple[str, np.ndarray]]:
@@ -46,11 +46,13 @@ def _places(truth: Truth) -> list[tuple[str, np.ndarray]]:
 
 def test_a_calibration_from_ranges_tells_of_no_new_point() -> None:
     recording, _ = lt.simulate(lt.scenario("paper-workshop", RANGES), seed=3)
-    found = lt.calibrate(recording)
-    assert "expected error of a new point" not in repr(found)
-    known = dict(zip(found.instrument_parameter_names, found.sigma[0] / found.prior_sigma[0], strict=True))
-    assert known["range-scale"] < 0.999
-    assert known["beam-tilt"] == pytest.approx(1.0)
+    calibration = lt.calibrate(recording)
+    assert "expected error of a new point" not in repr(calibration)
+    sigma_ratio = dict(
+        zip(calibration.instrument_parameter_names, calibration.sigma[0] / calibration.prior_sigma[0], strict=True)
+    )
+    assert sigma_ratio["range-scale"] < 0.999
+    assert sigma_ratio["beam-tilt"] == pytest.approx(1.0)
 
 
 def test_a_plan_and_trials_know_ranges_alone_and_nothing_between() -> None:
@@ -69,7 +71,7 @@ def test_a_level_tells_nothing_of_ranges() -> None:
     """Levels tie an axis that no range sees: the network keeps its six free motions, instruments stand upright."""
     levels = {f"stations.S{i}.levelled": True for i in range(1, 6)}
     recording, _ = lt.simulate(lt.scenario("paper-workshop", {**RANGES, **levels}), seed=3)
-    found = adjust(recording, misalignment_construction())
-    assert found.problem.free_motions.shape[1] == 6
-    assert not len(found.problem.level_rows)
-    np.testing.assert_allclose(found.state.station_rotations[:, 2, 2], 1.0, atol=1e-9)
+    adjustment = adjust(recording, misalignment_construction())
+    assert adjustment.problem.free_motions.shape[1] == 6
+    assert not len(adjustment.problem.level_rows)
+    np.testing.assert_allclose(adjustment.state.station_rotations[:, 2, 2], 1.0, atol=1e-9)

@@ -55,7 +55,7 @@ def test_the_named_ones_are_there() -> None:
     assert {"paper-workshop", "paper-workshop-two-face", "paper-laboratory"} <= set(builtin_names())
 
 
-def test_a_file_may_say_only_what_differs_from_a_built_in_one(write: Write) -> None:
+def test_a_file_may_contain_only_differences_from_a_built_in_scenario(write: Write) -> None:
     text = 'format = "ltsim-scenario/1"\nbase = "paper-workshop"\ngauge = "none"\n'
     changed = load_scenario(write(text + "[work]\nrepeats = 3\n[targets]\nT03 = { position_mm = [50, 3901, 5900] }\n"))
     base = load_scenario("paper-workshop")
@@ -104,7 +104,9 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("old", "new", "message"), WRONG)
-def test_wrong_files_get_one_sentence_with_file_and_key(old: str, new: str, message: str, write: Write) -> None:
+def test_wrong_files_are_refused_in_a_sentence_with_file_and_key(
+    old: str, new: str, message: str, write: Write
+) -> None:
     assert old in MINIMAL
     with pytest.raises(InputError, match=message) as caught:
         load_scenario(write(MINIMAL.replace(old, new)))
@@ -146,7 +148,7 @@ def test_a_station_that_sees_nothing_is_refused(write: Write) -> None:
         make_measurement_geometry(load_scenario(write(text)), 1)
 
 
-def test_cad_files_are_found_beside_the_scenario(write: Write, tmp_path: Path) -> None:
+def test_cad_files_are_read_from_the_folder_of_the_scenario(write: Write, tmp_path: Path) -> None:
     text = MINIMAL + '[[workshop.obstacles]]\nfile = "press.stl"\n'
     path = write(text)
     scenario = load_scenario(path)
@@ -197,6 +199,6 @@ def test_effects_as_objects_are_those_of_a_file() -> None:
     assert np.array_equal(given.recording.readings, by_table.recording.readings)
 
 
-def test_a_printed_scenario_is_one_line() -> None:
+def test_a_printed_scenario_is_a_single_line() -> None:
     assert str(lt.scenario("paper-workshop")).count("\n") == 0
     assert str(lt.scenario("paper-workshop")) == repr(lt.scenario("paper-workshop"))

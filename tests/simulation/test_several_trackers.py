@@ -28,7 +28,7 @@ def two(**changes: Any) -> Scenario:
     return change_scenario(TWO, {key.replace("__", "."): value for key, value in changes.items()}, Path("two.toml"))
 
 
-def test_one_tracker_draws_what_it_always_drew_and_a_second_one_changes_nothing_of_it() -> None:
+def test_a_second_tracker_does_not_change_the_draws_of_the_first() -> None:
     alone, truth = simulate(PAPER, 7)
     prior = PAPER.instrument.prior
     for p in misalignment_construction().parameters:
@@ -37,28 +37,28 @@ def test_one_tracker_draws_what_it_always_drew_and_a_second_one_changes_nothing_
             == p.prior_sigma_from(prior) * random_stream(7, "instrument", p.name).standard_normal()
         )
     second = {"instruments.B.errors.draw": True, "stations.S5.instrument": "B"}
-    beside, both = simulate(change_scenario(PAPER, second, Path("paper.toml")), 7)
-    own = alone.station != alone.stations.index("S5")
-    assert beside.readings[own].tobytes() == alone.readings[own].tobytes()
-    assert beside.readings[~own].tobytes() != alone.readings[~own].tobytes()
+    second_recording, both = simulate(change_scenario(PAPER, second, Path("paper.toml")), 7)
+    is_shared = alone.station != alone.stations.index("S5")
+    assert second_recording.readings[is_shared].tobytes() == alone.readings[is_shared].tobytes()
+    assert second_recording.readings[~is_shared].tobytes() != alone.readings[~is_shared].tobytes()
     assert {name: both.instrument_values[name] for name in truth.instrument_values} == truth.instrument_values
     tilt = next(p for p in misalignment_construction().parameters if p.name == "beam-tilt")
     draw = random_stream(7, "instrument", "B", "beam-tilt").standard_normal()
     assert both.instrument_values["beam-tilt@B"] == tilt.prior_sigma_from(prior) * draw
 
 
-def test_a_tracker_with_a_name_measures_as_one_without() -> None:
-    stated = {"errors": {"beam-tilt": 7.0, "range-offset": -20.0}, "noise_factor": 1.5}
-    plain = change_scenario(PAPER, {"instrument": stated}, Path("paper.toml"))
+def test_a_named_tracker_measures_as_an_unnamed_tracker() -> None:
+    errors = {"errors": {"beam-tilt": 7.0, "range-offset": -20.0}, "noise_factor": 1.5}
+    plain = change_scenario(PAPER, {"instrument": errors}, Path("paper.toml"))
     stations = {f"stations.{name}.instrument": "A" for name in PAPER.stations}
-    named = change_scenario(PAPER, {"instrument": "none", "instruments.A": stated, **stations}, Path("paper.toml"))
-    (one, first), (other, second) = simulate(plain, 2), simulate(named, 2)
-    assert one.readings.tobytes() == other.readings.tobytes()
+    named = change_scenario(PAPER, {"instrument": "none", "instruments.A": errors, **stations}, Path("paper.toml"))
+    (unnamed, first), (other, second) = simulate(plain, 2), simulate(named, 2)
+    assert unnamed.readings.tobytes() == other.readings.tobytes()
     assert first.instrument_values == second.instrument_values and other.instruments == ("A",)
     assert second.instruments[0].noise_factor == 1.5
 
 
-def test_each_tracker_has_noise_resolution_and_errors_of_its_own() -> None:
+def test_each_tracker_has_separate_noise_resolution_and_errors() -> None:
     quiet = {"noise_factor": 0.0, "errors": {}, "resolution": {"distance_um": 0.0, "angle_arcsec": 0.0}}
     loud = {"noise_factor": 2.0, "errors": {"range-offset": 300.0}, "resolution": {"distance_um": 100.0}}
     work = make_measurement_geometry(two(instruments__A=quiet, instruments__B=loud), 1)
@@ -108,18 +108,19 @@ def test_the_scenario_survives_its_file(tmp_path: Path) -> None:
     assert "4 stations by 2 trackers" in repr(TWO)
 
 
-def test_calibration_finds_the_errors_of_both_and_corrects_each_with_its_own() -> None:
+def test_calibration_estimates_and_corrects_the_errors_of_both_trackers() -> None:
     recording, truth = lt.simulate("two-trackers", seed=3)
-    found = lt.calibrate(recording)
+    calibration = lt.calibrate(recording)
     assert (
-        found.instrument_parameter_names[0] == "range-offset@A"
-        and found.instrument_parameter_names[-1] == "elevation-second-order-sin@B"
+        calibration.instrument_parameter_names[0] == "range-offset@A"
+        and calibration.instrument_parameter_names[-1] == "elevation-second-order-sin@B"
     )
     z = (
-        found.estimates.ravel() - [truth.instrument_values[name] for name in found.instrument_parameter_names]
-    ) / found.sigma.ravel()
+        calibration.estimates.ravel()
+        - [truth.instrument_values[name] for name in calibration.instrument_parameter_names]
+    ) / calibration.sigma.ravel()
     assert np.abs(z).max() < 4 and 0.4 < np.mean(z**2) < 1.8
-    corrected = lt.correct(recording, found)
+    corrected = lt.correct(recording, calibration)
     assert all(corrected.instrument_of(name).corrected for name in corrected.stations)
     assert lt.evaluate(corrected).distance.before.mean_um < 0.1 * lt.evaluate(recording).distance.before.mean_um
 
@@ -139,19 +140,19 @@ def test_calibration_finds_the_errors_of_both_and_corrects_each_with_its_own() -
         ({"instruments.B.errors.beam-til": 2.0}, "instruments.B.errors.beam-til: .*beam-tilt"),
     ],
 )
-def test_wrong_input_gets_one_sentence(changes: dict[str, Any], message: str) -> None:
+def test_invalid_input_is_refused_in_a_sentence(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message) as caught:
         simulate(change_scenario(TWO, changes, Path("two.toml")), 1)
     assert "\n" not in str(caught.value)
 
 
-def test_stations_name_trackers_only_where_there_are_some() -> None:
+def test_stations_name_trackers_only_if_trackers_exist() -> None:
     table = PAPER.model_dump(mode="json", by_alias=True, exclude_none=True)
     table["stations"]["S2"]["instrument"] = "A"
     with pytest.raises(InputError, match="names 'A', which is not declared"):
         validate_scenario(table, Path("paper.toml"))
 
 
-def test_a_plan_is_for_one_tracker() -> None:
+def test_a_plan_is_for_a_single_tracker() -> None:
     with pytest.raises(InputError, match="a plan needs one, in the table"):
         planned_survey(TWO)

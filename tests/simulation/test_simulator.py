@@ -53,11 +53,11 @@ def test_face_pairs_differ_by_half_a_turn(order: str) -> None:
     front = {k: i for i, k in enumerate(keys) if recording.face[i] == 1}
     back = {k: i for i, k in enumerate(keys) if recording.face[i] == 2}
     assert front.keys() == back.keys() and len(front) == 140
-    one = recording.readings[[front[k] for k in front]]
+    front_readings = recording.readings[[front[k] for k in front]]
     two = recording.readings[[back[k] for k in front]]
-    np.testing.assert_allclose(two[:, 0], one[:, 0], atol=1e-14)
-    np.testing.assert_allclose(np.abs(wrap_angle(two[:, 1] - one[:, 1])), np.pi, atol=1e-13)
-    np.testing.assert_allclose(two[:, 2] + one[:, 2], np.pi, atol=1e-14)
+    np.testing.assert_allclose(two[:, 0], front_readings[:, 0], atol=1e-14)
+    np.testing.assert_allclose(np.abs(wrap_angle(two[:, 1] - front_readings[:, 1])), np.pi, atol=1e-13)
+    np.testing.assert_allclose(two[:, 2] + front_readings[:, 2], np.pi, atol=1e-14)
 
 
 def test_face_order_per_target_and_per_station() -> None:
@@ -80,20 +80,20 @@ def test_the_instrument_is_exact_in_both_directions() -> None:
     np.testing.assert_allclose(point, work.sightings.local_points, rtol=0, atol=1e-12)
 
 
-def test_stated_errors_are_the_true_ones() -> None:
+def test_declared_errors_are_the_true_errors() -> None:
     _, truth = simulate(with_(PAPER, instrument={"errors": {"beam-tilt": 5.0, "range-scale": -1.5}}), 1)
     assert truth.instrument_values["beam-tilt"] == pytest.approx(5e-6)
     assert truth.instrument_values["range-scale"] == pytest.approx(-1.5e-6)
     assert sum(v != 0 for v in truth.instrument_values.values()) == 2
 
 
-def test_dh_has_its_own_errors() -> None:
+def test_dh_has_separate_errors() -> None:
     recording, truth = simulate(with_(PAPER, instrument={"construction": "dh", "harmonics": 1, "degree": 1}), 1)
     assert truth.construction == "dh" and len(truth.instrument_values) == 48
     assert np.isfinite(recording.readings).all()
 
 
-def test_noise_has_the_stated_size_whatever_the_place() -> None:
+def test_noise_has_the_declared_size_whatever_the_place() -> None:
     scenario = with_(TWO_FACE, instrument={"resolution": SILENT["resolution"]})
     work, z = make_measurement_geometry(scenario, 8), []
     for trial in range(60):
@@ -112,16 +112,16 @@ def test_readings_are_whole_steps_of_the_resolution() -> None:
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-3)
 
 
-def test_seeds_give_different_recordings_and_one_seed_the_same() -> None:
-    one, again, other = (simulate(PAPER, seed) for seed in (1, 1, 2))
-    np.testing.assert_array_equal(one[0].readings, again[0].readings)
-    assert one[0].setup == again[0].setup
-    assert np.all(one[0].readings != other[0].readings)
-    assert not np.array_equal(one[0].target, other[0].target)
-    assert np.all(one[1].target_points != other[1].target_points) and np.all(
-        one[1].station_positions != other[1].station_positions
+def test_seeds_give_different_recordings_and_equal_seeds_the_same() -> None:
+    first, again, other = (simulate(PAPER, seed) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first[0].readings, again[0].readings)
+    assert first[0].setup == again[0].setup
+    assert np.all(first[0].readings != other[0].readings)
+    assert not np.array_equal(first[0].target, other[0].target)
+    assert np.all(first[1].target_points != other[1].target_points) and np.all(
+        first[1].station_positions != other[1].station_positions
     )
-    assert one[0].setup.gauge != other[0].setup.gauge
+    assert first[0].setup.gauge != other[0].setup.gauge
 
 
 EFFECT = [{"name": "station-settling", "stations": ["S3"], "draw": True}]
@@ -144,10 +144,10 @@ def test_an_effect_changes_no_other_draw() -> None:
 
 def test_a_second_effect_does_not_change_the_values_of_the_first() -> None:
     second = [{"name": "range-cyclic", "draw": True}, *EFFECT, {"name": "range-cyclic", "draw": True}]
-    one = simulate(with_(PAPER, effects=EFFECT), 4)[1].applied_effects
+    applied = simulate(with_(PAPER, effects=EFFECT), 4)[1].applied_effects
     three = simulate(with_(PAPER, effects=second), 4)[1].applied_effects
-    np.testing.assert_array_equal(one[0].parameter_values, three[1].parameter_values)
-    assert np.all(one[0].parameter_values != 0) and np.all(three[0].parameter_values != three[2].parameter_values)
+    np.testing.assert_array_equal(applied[0].parameter_values, three[1].parameter_values)
+    assert np.all(applied[0].parameter_values != 0) and np.all(three[0].parameter_values != three[2].parameter_values)
 
 
 def test_an_effect_adds_exactly_its_shift() -> None:
@@ -184,7 +184,7 @@ def test_more_noise_cannot_be_taken_away_than_there_is() -> None:
 
 
 @pytest.mark.parametrize("kind", CATALOGUE, ids=lambda kind: kind.name)
-def test_every_effect_of_the_catalogue_can_be_simulated_and_its_truth_kept(kind: type[Effect]) -> None:
+def test_every_effect_of_the_catalogue_can_be_simulated_and_is_in_the_truth(kind: type[Effect]) -> None:
     places = {"station": {"stations": ["S2"]}, "target": {"targets": ["T03"]}}.get(kind.scope, {})
     recording, truth = simulate(with_(PAPER, effects=[{"name": kind.name, "draw": True, **places}]), 1)
     assert np.isfinite(recording.readings).all()
@@ -215,8 +215,8 @@ def test_swapped_reflectors_carry_the_errors_of_the_pointings_that_were_made() -
     wrong, _ = simulate(with_(PAPER, effects=[effect]), 6)
     a, b = (wrong.targets.index(name) for name in targets)
     here = (wrong.station == wrong.stations.index("S2")) & np.isin(wrong.target, (a, b))
-    mended = wrong.replace(target=np.where(here, a + b - wrong.target, wrong.target))
-    assert adjust(mended, misalignment_construction()).p_value > 1e-3
+    corrected = wrong.replace(target=np.where(here, a + b - wrong.target, wrong.target))
+    assert adjust(corrected, misalignment_construction()).p_value > 1e-3
     assert adjust(wrong, misalignment_construction()).is_gross_pointing[here].all()
 
 
@@ -225,8 +225,8 @@ def test_a_confused_face_carries_the_errors_of_the_face_that_was_used() -> None:
     wrong, _ = simulate(with_(TWO_FACE, effects=[effect]), 6)
     here = wrong.station == wrong.stations.index("S2")
     assert np.all(np.abs(wrong.readings[here, 2]) < np.pi / 2)
-    mended = wrong.replace(face=np.where(here, 1, wrong.face))
-    assert adjust(mended, misalignment_construction()).p_value > 1e-3
+    corrected = wrong.replace(face=np.where(here, 1, wrong.face))
+    assert adjust(corrected, misalignment_construction()).p_value > 1e-3
 
 
 def test_the_gauge_is_larger_in_the_warm_workshop_than_on_its_certificate() -> None:
@@ -244,13 +244,13 @@ def test_the_same_seed_is_the_same_instrument_in_workshop_and_laboratory() -> No
     assert 0.1e-6 < np.abs(laboratory.arrays.nominal_points - laboratory.target_points).max() < 8e-6
 
 
-def test_trials_on_one_geometry_differ_in_errors_and_noise_only() -> None:
+def test_trials_on_a_common_geometry_differ_in_errors_and_noise_only() -> None:
     work = make_measurement_geometry(PAPER, 1)
-    (one, first), (two, second) = measure_trial(work, 1, 0), measure_trial(work, 1, 1)
+    (first_trial, first), (two, second) = measure_trial(work, 1, 0), measure_trial(work, 1, 1)
     np.testing.assert_array_equal(first.target_points, second.target_points)
-    np.testing.assert_array_equal(one.target, two.target)
+    np.testing.assert_array_equal(first_trial.target, two.target)
     assert all(first.instrument_values[n] != second.instrument_values[n] for n in first.instrument_values)
-    assert np.mean(one.readings != two.readings) > 0.98  # a few round to the same step
+    assert np.mean(first_trial.readings != two.readings) > 0.98  # a few round to the same step
 
 
 def test_orders_of_the_work() -> None:
@@ -278,10 +278,10 @@ def test_clock_repeats_and_air() -> None:
 def test_the_set_up_knows_the_plan_and_not_the_truth() -> None:
     recording, truth = simulate(PAPER, 1)
     for i, name in enumerate(recording.stations):
-        known = recording.setup.stations[name]
-        assert known.position_mm is not None and all(x % 100 == 0 for x in known.position_mm)
-        assert 1 < np.linalg.norm(np.array(known.position_mm) - truth.station_positions[i] * 1e3) < 200
-        assert known.yaw_deg == PAPER.stations[name].yaw_deg
+        station = recording.setup.stations[name]
+        assert station.position_mm is not None and all(x % 100 == 0 for x in station.position_mm)
+        assert 1 < np.linalg.norm(np.array(station.position_mm) - truth.station_positions[i] * 1e3) < 200
+        assert station.yaw_deg == PAPER.stations[name].yaw_deg
     assert all(t.known_mm is None and t.approximate_mm is None for t in recording.setup.targets.values())
     assert recording.setup.instrument.prior == PAPER.instrument.prior
 
@@ -306,7 +306,7 @@ def test_recordings_survive_being_written(tmp_path: Any) -> None:
     assert "truth" not in text and "seed" not in text
 
 
-def test_an_effect_without_anything_to_act_on_is_told() -> None:
+def test_an_effect_without_anything_to_act_on_is_reported() -> None:
     """No thermometer in the recording, and reflectors that face the beam."""
     smr = PAPER.smr.model_copy(update={"nest_orientation": "re-aimed", "incidence_error": True})
     entries = [{"name": "dead-path", "draw": True}, {"name": "gauge-scale", "draw": True}]

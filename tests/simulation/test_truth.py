@@ -37,9 +37,9 @@ def test_round_trip(truth: Truth, tmp_path: Path) -> None:
         truth.parameter_units,
     )
     assert [a.name for a in again.effects] == ["station-settling", "azimuth-harmonic", "smr-incidence"]
-    for one, other in zip(again.applied_effects, truth.applied_effects, strict=True):
-        assert one.effect == other.effect
-        np.testing.assert_allclose(one.parameter_values, other.parameter_values, rtol=1e-14)
+    for effect, other in zip(again.applied_effects, truth.applied_effects, strict=True):
+        assert effect.effect == other.effect
+        np.testing.assert_allclose(effect.parameter_values, other.parameter_values, rtol=1e-14)
 
 
 def test_display_units_in_the_file(truth: Truth) -> None:
@@ -79,7 +79,9 @@ def test_no_nominal_points_without_a_machine(truth: Truth) -> None:
         ({"nominal_points": [{"name": "X", "position_mm": [0, 0, 0]}]}, "differ from those of the targets"),
     ],
 )
-def test_wrong_files_get_one_sentence(change: dict[str, object], message: str, truth: Truth, tmp_path: Path) -> None:
+def test_wrong_files_are_refused_in_a_sentence(
+    change: dict[str, object], message: str, truth: Truth, tmp_path: Path
+) -> None:
     path = tmp_path / "truth.json"
     path.write_text(json.dumps({**truth.content(), **change}))
     with pytest.raises(RecordError, match=message) as caught:

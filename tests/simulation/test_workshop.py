@@ -64,7 +64,7 @@ def test_gauge_is_parallel_to_no_reference_plane() -> None:
 
 
 @pytest.mark.parametrize("cone", [None, 70.0, 110.0])
-def test_every_reflector_is_seen_from_every_station_outside_both_cones(cone: float | None) -> None:
+def test_every_reflector_is_visible_from_every_station_outside_both_cones(cone: float | None) -> None:
     scenario = changed(PAPER, "workshop", shadow_cone_deg=cone)
     assert make_sight_limits(scenario, scenario.instrument).elevation_min == pytest.approx(-55 * DEGREE)
     table = make_visibility(scenario)
@@ -75,12 +75,12 @@ def test_every_reflector_is_seen_from_every_station_outside_both_cones(cone: flo
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_they_are_still_seen_where_they_truly_stand(seed: int) -> None:
+def test_true_positions_of_reflectors_are_visible(seed: int) -> None:
     assert make_measurement_geometry(changed(PAPER, "workshop", shadow_cone_deg=110.0), seed).hidden_pair_notes == ()
 
 
 @pytest.mark.parametrize("name", ["paper-workshop", "paper-workshop-re-aimed", "paper-workshop-two-face"])
-def test_targets_are_seen_over_180_degrees_from_every_station(name: str) -> None:
+def test_targets_are_visible_over_180_degrees_from_every_station(name: str) -> None:
     layout = planned_layout(load_scenario(name))
     np.testing.assert_array_equal(layout.station_positions, LAYOUT.station_positions)
     np.testing.assert_array_equal(layout.target_points, LAYOUT.target_points)

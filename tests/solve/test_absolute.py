@@ -13,13 +13,13 @@ from ltsim.solve.least_absolute import solve_least_absolute
 
 def program(design: Floats, goal: Floats) -> Floats:
     rows, count = design.shape
-    found = linprog(
+    solution = linprog(
         np.r_[np.zeros(count), np.ones(2 * rows)],
         A_eq=np.hstack([design, np.eye(rows), -np.eye(rows)]),
         b_eq=goal,
         bounds=[(None, None)] * count + [(0, None)] * (2 * rows),
     )
-    return np.asarray(found.x[:count], dtype=np.float64)
+    return np.asarray(solution.x[:count], dtype=np.float64)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -52,6 +52,6 @@ def test_outliers_take_nothing() -> None:
 def test_a_start_changes_nothing() -> None:
     draw = random_stream(9, "start")
     design, goal = draw.standard_normal((150, 4)), draw.standard_normal(150)
-    found = solve_least_absolute(design, goal)
-    assert solve_least_absolute(design, goal, start_solution=found + 0.3) == pytest.approx(found, abs=1e-12)
+    solution = solve_least_absolute(design, goal)
+    assert solve_least_absolute(design, goal, start_solution=solution + 0.3) == pytest.approx(solution, abs=1e-12)
     assert np.array_equal(solve_least_absolute(design, np.zeros(150)), np.zeros(4))

@@ -11,16 +11,16 @@ from ltsim.solve.elimination import BlockSystem, FactorisedNormals, SingularSyst
 from ltsim.solve.gauss_newton import TerminationStatus, solve
 
 
-def random_system(seed: int, kept: int = 7, blocks: int = 5) -> tuple[BlockSystem, np.ndarray]:
+def random_system(seed: int, n_reduced: int = 7, blocks: int = 5) -> tuple[BlockSystem, np.ndarray]:
     """Rows that see all kept unknowns and one block each, columns of very different size."""
     rng = random_stream(seed, "system")
-    rows = np.zeros((12 * blocks, kept + 3 * blocks))
+    rows = np.zeros((12 * blocks, n_reduced + 3 * blocks))
     for i in range(len(rows)):
         block = i % blocks
-        rows[i, :kept] = rng.standard_normal(kept)
-        rows[i, kept + 3 * block : kept + 3 * block + 3] = rng.standard_normal(3)
+        rows[i, :n_reduced] = rng.standard_normal(n_reduced)
+        rows[i, n_reduced + 3 * block : n_reduced + 3 * block + 3] = rng.standard_normal(3)
     rows *= 10.0 ** rng.uniform(-6, 6, rows.shape[1])
-    return BlockSystem(rows, rng.standard_normal(len(rows)), kept), rows
+    return BlockSystem(rows, rng.standard_normal(len(rows)), n_reduced), rows
 
 
 @pytest.mark.parametrize("kind", [np.array, sp.csr_array])

@@ -10,21 +10,21 @@ from ltsim.core.randomness import random_stream
 from ltsim.solve.elimination import BlockSystem, FactorisedNormals
 from ltsim.solve.projection import BasisResidualProjector, FactorResidualProjector, make_residual_projector
 
-KEPT, BLOCKS, ROWS = 320, 130, 2600
+N_REDUCED, BLOCKS, ROWS = 320, 130, 2600
 
 
 def chained(seed: int = 1) -> BlockSystem:
     """Rows that touch a few neighbouring kept columns, two shared ones and one block: a ring of set-ups in small."""
     rng = random_stream(seed, "design")
-    design = sp.lil_array((ROWS, KEPT + 3 * BLOCKS))
+    design = sp.lil_array((ROWS, N_REDUCED + 3 * BLOCKS))
     for i in range(ROWS):
-        near = np.arange(6) + (i * KEPT // ROWS) // 6 * 6
-        block = KEPT + 3 * ((i * BLOCKS // ROWS + int(rng.integers(0, 3))) % BLOCKS) + np.arange(3)
-        columns = np.unique(np.concatenate([near % (KEPT - 2), [KEPT - 2, KEPT - 1], block]))
+        near = np.arange(6) + (i * N_REDUCED // ROWS) // 6 * 6
+        block = N_REDUCED + 3 * ((i * BLOCKS // ROWS + int(rng.integers(0, 3))) % BLOCKS) + np.arange(3)
+        columns = np.unique(np.concatenate([near % (N_REDUCED - 2), [N_REDUCED - 2, N_REDUCED - 1], block]))
         design[i, columns] = rng.standard_normal(len(columns)) * 10.0 ** rng.uniform(-2, 2)
-    ties = sp.eye_array(KEPT + 3 * BLOCKS) * 0.1
+    ties = sp.eye_array(N_REDUCED + 3 * BLOCKS) * 0.1
     rows = sp.csr_array(sp.vstack([design.tocsr(), ties]))
-    return BlockSystem(rows, rng.standard_normal(rows.shape[0]), KEPT)
+    return BlockSystem(rows, rng.standard_normal(rows.shape[0]), N_REDUCED)
 
 
 SYSTEM = chained()
@@ -49,13 +49,13 @@ def test_projection_and_leverage_are_those_of_the_hat_matrix(projection, root):
 @pytest.mark.parametrize(
     "rows", [np.arange(100, 160), np.arange(100, 400), slice(None)], ids=["few rows", "many rows", "all rows"]
 )
-def test_products_of_what_is_left_are_those_of_projected_vectors(projection, root, rows):
+def test_products_of_residuals_are_those_of_projected_vectors(projection, root, rows):
     vectors = np.zeros((len(root), 5))
     vectors[rows] = random_stream(4, "columns").standard_normal(vectors[rows].shape)
-    left = vectors - root @ (root.T @ vectors)
+    projected = vectors - root @ (root.T @ vectors)
     grams = projection.gram_matrices(vectors[rows], np.array([0, 2, 5]), rows)
     for gram, part in zip(grams, (slice(2), slice(2, 5)), strict=True):
-        np.testing.assert_allclose(gram, left[:, part].T @ left[:, part], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(gram, projected[:, part].T @ projected[:, part], rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize(("projection", "root"), PAIRS, ids=NAMES)
@@ -89,7 +89,7 @@ def test_spectra_give_back_the_blocks_of_the_hat_matrix(projection, root, groups
         np.testing.assert_allclose((vectors * values) @ vectors.T, root[rows] @ root[rows].T, atol=1e-9)
 
 
-def test_a_small_system_or_one_without_factor_gets_a_basis(monkeypatch):
+def test_a_small_system_or_a_system_without_factor_gets_a_basis(monkeypatch):
     assert isinstance(make_residual_projector(SYSTEM, None), BasisResidualProjector)
     monkeypatch.setattr("ltsim.solve.projection.MAX_DESIGN_ENTRIES_FOR_BASIS", int(np.prod(SYSTEM.design.shape)))
     small = BlockSystem(SYSTEM.design, SYSTEM.whitened_residuals, SYSTEM.n_retained)

@@ -37,13 +37,13 @@ CASES = (
 
 @pytest.mark.parametrize("kind", [np.array, sp.csr_array])
 @pytest.mark.parametrize(("image", "determined"), CASES)
-@pytest.mark.parametrize(("size", "kept"), [(12, 12), (300, 300), (3, 0)])
+@pytest.mark.parametrize(("size", "n_reduced"), [(12, 12), (300, 300), (3, 0)])
 def test_the_solver_decides_by_the_image_of_the_weakest_direction(
-    size: int, kept: int, image: float, determined: bool, kind: Callable[[np.ndarray], DesignMatrix]
+    size: int, n_reduced: int, image: float, determined: bool, kind: Callable[[np.ndarray], DesignMatrix]
 ) -> None:
     """Among the kept unknowns, or in a block that is eliminated; whatever the units."""
     design = nearly_dependent(size, image) * 10.0 ** random_stream(1, "unit").uniform(-6, 6, size)
-    system = BlockSystem(kind(design), np.zeros(len(design)), kept)
+    system = BlockSystem(kind(design), np.zeros(len(design)), n_reduced)
     if determined:
         assert FactorisedNormals(system).smallest_pivot < MIN_RELIABLE_PIVOT
     else:

@@ -35,12 +35,12 @@ def test_the_table_comes_back_within_its_uncertainty(tmp_path: Path) -> None:
     turns = np.arange(-30.0, 330.0, 7.5) * DEGREE
     bench = BenchTest(eccentricity=np.array([4e-6, -11e-6]), probe_angles=turns)
     true = (np.array(PAPER_INCIDENCE_RANGE_ERRORS) - PAPER_INCIDENCE_RANGE_ERRORS[MIDDLE]) / MICROMETRE
-    found = lt.bench(written(tmp_path / "reflector.csv", bench, 5))
-    error = np.array([row.error_um for row in found.range_errors]) - true
-    sigma = np.array([row.sigma_um for row in found.range_errors])
+    estimates = lt.bench(written(tmp_path / "reflector.csv", bench, 5))
+    error = np.array([row.error_um for row in estimates.range_errors]) - true
+    sigma = np.array([row.sigma_um for row in estimates.range_errors])
     assert np.all(np.abs(error) <= 4 * sigma)
-    assert abs(found.eccentricity_side.value_um + 11.0) < 4 * found.eccentricity_side.sigma_um
-    assert np.abs([row.uncorrected_length_um for row in found.range_errors] - true).max() > 4.0
+    assert abs(estimates.eccentricity_side.value_um + 11.0) < 4 * estimates.eccentricity_side.sigma_um
+    assert np.abs([row.uncorrected_length_um for row in estimates.range_errors] - true).max() > 4.0
 
 
 def test_the_command_writes_what_it_shows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -54,7 +54,7 @@ def test_the_command_writes_what_it_shows(tmp_path: Path, capsys: pytest.Capture
 
 
 @pytest.mark.parametrize(
-    ("rows", "said"),
+    ("rows", "message"),
     [
         ("0,1,2\n", "has values of length_um at 1 angles, expected 3"),
         ("0,1,2\n5,1,2\n10,1,2\n", "has values of probe_um at 3 angles, expected 4"),
@@ -62,10 +62,10 @@ def test_the_command_writes_what_it_shows(tmp_path: Path, capsys: pytest.Capture
         ("0,wide,2\n", "'wide' is not a number"),
     ],
 )
-def test_what_is_wrong_is_one_sentence(rows: str, said: str, tmp_path: Path) -> None:
+def test_wrong_input_is_refused_in_a_sentence(rows: str, message: str, tmp_path: Path) -> None:
     file = tmp_path / "bad.csv"
     file.write_text("angle_deg,length_um,probe_um\n" + rows)
-    with pytest.raises(RecordError, match=said):
+    with pytest.raises(RecordError, match=message):
         lt.bench(file)
 
 

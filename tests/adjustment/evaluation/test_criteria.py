@@ -59,10 +59,10 @@ def parameters(**values: float) -> np.ndarray:
 def test_distance_criterion_by_hand() -> None:
     base = np.array([[0.0, 0, 0], [1, 0, 0]])
     clouds = np.stack([base, base * 1.001, base * 1.002, base * np.nan])
-    found = distance_disagreement(clouds)
+    disagreement = distance_disagreement(clouds)
     # Lengths 1.000, 1.001, 1.002: deviations from their mean 1.001 are 1, 0, 1 mm.
-    assert found.mean == pytest.approx(2e-3 / 3)
-    assert found.maximum == pytest.approx(2e-3 / 3)
+    assert disagreement.mean == pytest.approx(2e-3 / 3)
+    assert disagreement.maximum == pytest.approx(2e-3 / 3)
     assert distance_disagreement_with_first_station(clouds).mean == pytest.approx(1.5e-3)
 
 
@@ -106,11 +106,11 @@ def mean_of(recording: Recording) -> float:
 
 def test_faces_are_averaged() -> None:
     values = parameters(vertical_index=40e-6, beam_tilt=30e-6)  # both flip with the face
-    both, one = network(values), network(values, faces=(1,))
-    assert mean_of(both) < 1e-3 * mean_of(one)
+    both, front_face = network(values), network(values, faces=(1,))
+    assert mean_of(both) < 1e-3 * mean_of(front_face)
 
 
-def test_one_station_is_refused_in_a_sentence() -> None:
+def test_a_single_station_is_refused_in_a_sentence() -> None:
     recording = network(np.zeros(16))
     with pytest.raises(NetworkError, match="has only one"):
         evaluate_criteria(recording.select(recording.station == 0))
@@ -164,7 +164,7 @@ def test_share_of_the_correctable_error() -> None:
     assert half.raw_rms > half.calibrated_rms > half.true_parameters_rms > 0
 
 
-def test_memory_follows_what_is_seen_and_not_all_pairs() -> None:
+def test_memory_is_proportional_to_pointings_and_not_to_all_pairs() -> None:
     """A tunnel of 100 set-ups: all pairs from all of them would be 2.5 GB."""
     count, rng = 100, np.random.default_rng(3)
     base = rng.normal(0, 4, (25 * (count + 1), 3))

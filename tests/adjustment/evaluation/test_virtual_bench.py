@@ -30,7 +30,7 @@ def test_a_turned_point_changes_the_length_as_a_rotation_says() -> None:
     np.testing.assert_allclose(record.lengths - record.lengths[0], np.array(lengths) - lengths[0], atol=1e-15)
 
 
-def test_the_probe_sees_the_same_point_from_its_own_side() -> None:
+def test_the_probe_measures_the_same_point_from_its_side() -> None:
     point = np.array([30e-6, -20e-6])
     record = measure_bench(quiet(table=np.zeros(9), eccentricity=point), 1)
     angles = np.arctan2(point[1], point[0]) + FULL_TURN
@@ -56,21 +56,23 @@ def test_lobes_of_the_sphere_do_not_reach_the_table_over_a_full_turn() -> None:
     np.testing.assert_allclose(result.range_errors, PAPER, atol=1e-12)
 
 
-def test_stated_sigmas_cover_the_spread() -> None:
+def test_declared_sigmas_cover_the_spread() -> None:
     bench = BenchTest(eccentricity=np.array([3e-6, -4e-6]), roundness=0.0)
     results = [evaluate_reflector_bench(measure_bench(bench, 6, trial)) for trial in range(400)]
     spread = np.std([r.range_errors - PAPER for r in results], axis=0)
-    stated = np.sqrt(np.mean([r.range_error_sigmas**2 for r in results], axis=0))
-    kept = np.arange(9) != MIDDLE
-    np.testing.assert_allclose(spread[kept], stated[kept], rtol=0.15)  # 3.5 % one sigma for 400 trials
+    sigmas = np.sqrt(np.mean([r.range_error_sigmas**2 for r in results], axis=0))
+    is_not_middle = np.arange(9) != MIDDLE
+    np.testing.assert_allclose(
+        spread[is_not_middle], sigmas[is_not_middle], rtol=0.15
+    )  # 3.5 % one sigma for 400 trials
     assert spread[MIDDLE] == 0.0
 
 
 def test_a_vertex_off_centre_is_named() -> None:
-    found = fit_vertex_offset(INCIDENCE_TABLE_ANGLES, vertex_table(-97e-6, 26e-6), 0.14e-6)
-    assert found.axial_offset == pytest.approx(-97e-6, abs=1e-12)
-    assert found.side_offset == pytest.approx(26e-6, abs=1e-12)
-    assert found.unexplained_rms < 1e-12
+    vertex = fit_vertex_offset(INCIDENCE_TABLE_ANGLES, vertex_table(-97e-6, 26e-6), 0.14e-6)
+    assert vertex.axial_offset == pytest.approx(-97e-6, abs=1e-12)
+    assert vertex.side_offset == pytest.approx(26e-6, abs=1e-12)
+    assert vertex.unexplained_rms < 1e-12
     assert (
         fit_vertex_offset(INCIDENCE_TABLE_ANGLES, np.array(PAPER_INCIDENCE_RANGE_ERRORS), 0.14e-6).unexplained_rms
         > 0.2 * MICROMETRE
@@ -78,7 +80,7 @@ def test_a_vertex_off_centre_is_named() -> None:
 
 
 def test_impossible_benches_are_refused_in_a_sentence() -> None:
-    with pytest.raises(InputError, match="one each"):
+    with pytest.raises(InputError, match="one per angle"):
         BenchTest(table=np.zeros(3))
-    with pytest.raises(InputError, match="needs 3 or more"):
+    with pytest.raises(InputError, match="3 or more"):
         BenchTest(probe_angles=np.zeros(2))

@@ -26,7 +26,7 @@ Points = np.ndarray
 Break = Callable[[Recording, Points, np.random.Generator], Recording]
 
 
-def seen(recording: Recording, points: Points, seed: int) -> Recording:
+def measured(recording: Recording, points: Points, seed: int) -> Recording:
     """The workshop's pointings to targets in other places, with its stated noise."""
     _, state = workshop()
     arm = points[recording.target] - state.station_positions[recording.station]
@@ -44,13 +44,13 @@ def on_a_line(recording: Recording, points: Points, rng: np.random.Generator) ->
     """Two stations share ten targets on one line."""
     line = points.copy()
     line[:10] = points[0] + np.linspace(0.0, 3.0, 10)[:, None] * rng.uniform(0.1, 0.3, 3)
-    return seen(recording, line, int(rng.integers(1000))).select((recording.station < 2) & (recording.target < 10))
+    return measured(recording, line, int(rng.integers(1000))).select((recording.station < 2) & (recording.target < 10))
 
 
 def two_shared(recording: Recording, points: Points, rng: np.random.Generator) -> Recording:
     """One station shares two targets only with the others."""
-    one, kept = rng.integers(1, 5), rng.choice(len(points), 2, replace=False)
-    return without(recording, (recording.station == one) & ~np.isin(recording.target, kept))
+    station, targets = rng.integers(1, 5), rng.choice(len(points), 2, replace=False)
+    return without(recording, (recording.station == station) & ~np.isin(recording.target, targets))
 
 
 def nothing_shared(recording: Recording, points: Points, rng: np.random.Generator) -> Recording:
@@ -88,9 +88,9 @@ def words(verb: Callable[[Recording], object], recording: Recording) -> str:
 def agreed(way: Break, seed: int) -> str:
     """The sentence of all verbs about a network that is degenerate in one way."""
     recording, state = workshop()
-    broken = way(seen(recording, state.target_points, seed), state.target_points, random_stream(seed, way.__name__))
-    said = words(lt.adjust, broken)
-    if not said:  # noise bends a line: there is a solution, and its sigmas are doubted aloud
+    broken = way(measured(recording, state.target_points, seed), state.target_points, random_stream(seed, way.__name__))
+    sentences = words(lt.adjust, broken)
+    if not sentences:  # noise bends a line: there is a solution, and its sigmas are doubted aloud
         (doubt,) = adjustment_warnings(lt.adjust(broken).adjustment)
         assert way is on_a_line
         assert "hardly determine its pose" in doubt
@@ -98,15 +98,15 @@ def agreed(way: Break, seed: int) -> str:
         cause = doubt.partition("(curvature")[0]  # noise that a check finds too large curves the line more
         assert any(item.sentence.startswith(cause) and not item.passed for item in check(broken).items)
         return doubt
-    assert words(lambda r: calibrate_network(r, recommend_measurements=False), broken) == said
+    assert words(lambda r: calibrate_network(r, recommend_measurements=False), broken) == sentences
     if way is clockwise:  # what is understood is mended by a diagnosis, and said
         assert "clockwise" in str(lt.diagnose(broken))
     else:
-        assert words(lt.diagnose, broken) == said
-    found = check(broken)
-    assert not found.passed
-    assert any(said in item.sentence for item in found.items)
-    return said
+        assert words(lt.diagnose, broken) == sentences
+    result = check(broken)
+    assert not result.passed
+    assert any(sentences in item.sentence for item in result.items)
+    return sentences
 
 
 @pytest.mark.parametrize("seed", family(range(64)))
@@ -120,7 +120,7 @@ def test_all_verbs_say_the_same_of_a_degenerate_network(way: Break, seed: int) -
 def test_check_gives_the_judgement_of_adjust_where_nothing_but_noise_is_larger(seed: int, noise: float) -> None:
     """No error of the instrument is at work: the same sigma0, and no-go where it is rarer than the level allows."""
     recording, state = workshop()
-    exact = recording.with_readings(seen(recording, state.target_points, seed).readings)
+    exact = recording.with_readings(measured(recording, state.target_points, seed).readings)
     exact = exact.select((exact.station < 3) & (exact.target < 9))
     extra = (
         random_stream(seed, "larger").standard_normal(exact.readings.shape)
@@ -128,9 +128,9 @@ def test_check_gives_the_judgement_of_adjust_where_nothing_but_noise_is_larger(s
         * np.sqrt(noise**2 - 1.0)
     )
     noisy = exact.with_readings(exact.readings + extra)
-    adjusted, found = lt.adjust(noisy).adjustment, check(noisy)
-    (item,) = (item for item in found.items if item.kind == "network")
-    assert found.passed == item.passed
+    adjusted, result = lt.adjust(noisy).adjustment, check(noisy)
+    (item,) = (item for item in result.items if item.kind == "network")
+    assert result.passed == item.passed
     if lt.adjust(noisy, robust=True).adjustment.is_rejected_reading.any():
         assert "contradicts the other stations" in item.sentence
         return
@@ -147,7 +147,7 @@ def along_axes(recording: Recording, points: Points, away: float, stations: tupl
     moved = points.copy()
     for target, station in enumerate(stations, start=3):
         moved[target] = state.station_positions[station] + state.station_rotations[station] @ [0.0, 0.0, away]
-    return seen(recording, moved, 0)
+    return measured(recording, moved, 0)
 
 
 def exactly_vertical(recording: Recording) -> Recording:
@@ -196,7 +196,7 @@ def test_the_angles_along_the_vertical_axis_are_used_by_no_verb(verb: str, way: 
     assert VERBS[verb](vertical) == VERBS[verb](without_angles(vertical))
 
 
-def test_azimuths_along_the_vertical_axis_change_nothing_in_a_check_of_one_set_up() -> None:
+def test_azimuths_along_the_vertical_axis_change_nothing_in_a_check_of_a_single_set_up() -> None:
     recording, state = workshop()
     once = along_axes(recording, state.target_points, 2.0, (1,)).select(recording.station == 1)
     twice = once.select(np.tile(np.arange(len(once)), 2))
@@ -230,13 +230,13 @@ def test_a_target_that_only_a_vertical_pointing_reaches_is_undetermined_and_the_
 def test_a_slip_of_a_metre_in_a_small_network_is_named_and_does_not_make_it_singular(seed: int) -> None:
     """29 pointings determine everything: one that is 1.02 m too long or too high is told, and nothing is refused."""
     recording, state = workshop()
-    whole, rng = seen(recording, state.target_points, 1), random_stream(seed, "slip")
+    whole, rng = measured(recording, state.target_points, 1), random_stream(seed, "slip")
     few = whole.select((whole.station < 3) & np.isin(whole.target, rng.choice(28, 10, replace=False)))
     few = few.select(np.arange(min(len(few), 29)))
     readings, row = few.readings.copy(), int(rng.integers(len(few)))
     readings[row, 2 * (seed % 2)] += 1.02 / (readings[row, 0] if seed % 2 else 1.0)
     broken = few.with_readings(readings)
     assert not words(lt.adjust, broken)
-    found = check(broken)
-    assert not found.passed
-    assert any(row + 1 in item.rows for item in found.items if not item.passed)
+    result = check(broken)
+    assert not result.passed
+    assert any(row + 1 in item.rows for item in result.items if not item.passed)

@@ -99,7 +99,7 @@ def test_reflectors_of_a_set_up_displaced_at_random(sigma_mm: float) -> None:
     assert test.estimate == pytest.approx(sigma_mm, rel=0.3)
 
 
-def test_one_target_displaced_at_random_at_every_set_up() -> None:
+def test_a_target_displaced_at_random_at_every_set_up() -> None:
     recording, normal, _ = hall()
     motion = np.zeros((len(recording.stations), *normal.shape))
     motion[:, 7] = 1e-3 * random_stream(8, "centring").standard_normal((len(recording.stations), 3))
@@ -140,8 +140,8 @@ def test_occupations_of_labels_and_days() -> None:
     dated = recording.replace(labels={"date": day})
     occupation = target_occupations(dated, CentringUncertainty(sigma_mm=1.0, occupation="day"))
     assert len(np.unique(occupation)) == 2 * len(recording.targets)
-    some = CentringUncertainty(sigma_mm=1.0, occupation="day", targets=recording.targets[:3], stations=("S1",))
-    occupation = target_occupations(dated, some)
+    centring = CentringUncertainty(sigma_mm=1.0, occupation="day", targets=recording.targets[:3], stations=("S1",))
+    occupation = target_occupations(dated, centring)
     assert set(occupation.tolist()) == {-1, 0, 1, 2}
     assert (occupation[recording.station != recording.stations.index("S1")] == -1).all()
 

@@ -45,7 +45,7 @@ def measured(kind: ReferenceKind, trial: int) -> Recording:
         lengths.append(length.model_copy(update={"length_mm": length.length_mm + change}))
     if kind == "point":
         coordinate_noise["T12"] = coordinate_noise["T12"] + error
-    known = {
+    references = {
         name: Target(known_mm=tuple((points[name] + change).tolist()), known_sigma_mm=POINT_SIGMA)
         for name, change in coordinate_noise.items()
     }
@@ -54,7 +54,7 @@ def measured(kind: ReferenceKind, trial: int) -> Recording:
         yaw = YAWS[1] / DEGREE + (YAW_SIGMA * noise.standard_normal() + error[0]) / 3600
         stations["S2"] = Station(levelled=True, yaw_deg=yaw, yaw_sigma_arcsec=YAW_SIGMA)
     gauge = LengthGauge(distance=tuple(lengths), sigma_scale_ppm=SCALE_SIGMA)
-    targets = {**recording.setup.targets, **known}
+    targets = {**recording.setup.targets, **references}
     return recording.replace(
         setup=recording.setup.model_copy(update={"targets": targets, "gauge": gauge, "stations": stations})
     )
@@ -77,7 +77,7 @@ def fit_without(recording: Recording, kind: ReferenceKind) -> tuple[NetworkFit, 
 
 
 @pytest.mark.parametrize("sigma_mm", [0.1, 0.01, 1e-6])
-def test_standard_deviation_of_a_wrong_point_is_that_of_its_prediction_and_its_own(sigma_mm: float) -> None:
+def test_standard_deviation_of_a_wrong_point_combines_prediction_and_declared_value(sigma_mm: float) -> None:
     recording, _ = hall()
     targets = dict(recording.setup.targets)
     for name in CONTROL:
@@ -103,9 +103,9 @@ def test_misclosures_of_a_wrong_reference_value_have_their_covariance(kind: Refe
     chi2 = []
     for trial in range(30):
         fit, hypothesis = fit_without(measured(kind, trial), kind)
-        found = reference_error_and_covariance(fit, hypothesis)
-        assert found is not None
-        error, covariance = found[0] - ERRORS[kind][1] * ERRORS[kind][2], found[1]
+        computed = reference_error_and_covariance(fit, hypothesis)
+        assert computed is not None
+        error, covariance = computed[0] - ERRORS[kind][1] * ERRORS[kind][2], computed[1]
         chi2.append(float(error @ np.linalg.solve(covariance, error)))
     n_components = len(ERRORS[kind][1])
     assert abs(np.mean(chi2) / n_components - 1.0) < 3.0 * np.sqrt(2.0 / (n_components * len(chi2)))

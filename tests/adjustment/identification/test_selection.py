@@ -55,8 +55,8 @@ def hall() -> tuple[Recording, Truth]:
     """Four stations, both faces, four control points, a gauge; a pointing every 10 s."""
     recording, truth = network(faces=2, seed=3, stations=4)
     points = dict(zip(recording.targets, truth.state.target_points, strict=True))
-    known = {name: Target(known_mm=tuple((1e3 * points[name]).tolist()), known_sigma_mm=0.01) for name in CONTROL}
-    setup = recording.setup.model_copy(update={"targets": {**recording.setup.targets, **known}})
+    references = {name: Target(known_mm=tuple((1e3 * points[name]).tolist()), known_sigma_mm=0.01) for name in CONTROL}
+    setup = recording.setup.model_copy(update={"targets": {**recording.setup.targets, **references}})
     order = np.argsort(recording.station, kind="stable")
     clocked = recording.select(order).replace(time=10.0 * np.arange(len(recording)), has_clock=True, setup=setup)
     return clocked, truth
@@ -72,7 +72,7 @@ def shifted(recording: Recording, rows: Floats, column: int, size: float | Float
     return recording.with_readings(readings)
 
 
-def the_one(selection: CauseSelection) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
+def only_cause(selection: CauseSelection) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
     (choice,) = selection.selected_hypotheses
     return choice.hypothesis.kind, choice.hypothesis.stations, choice.hypothesis.targets
 
@@ -89,7 +89,7 @@ def test_an_offset_of_all_distances_to_a_target(size: float) -> None:
     recording, truth = hall()
     wrong = shifted(recording, recording.target == 7, 0, size)
     selection = identified(wrong)
-    assert the_one(selection) == ("constant-offset", (), ("T08",))
+    assert only_cause(selection) == ("constant-offset", (), ("T08",))
     (test,) = [t for t in cause_tests(selection) if t.accepted and t.kind != "outlier"]
     assert test.unit == "mm"
     assert test.estimate == pytest.approx(1e3 * size, abs=0.05)
@@ -100,7 +100,11 @@ def test_an_offset_of_all_distances_to_a_target(size: float) -> None:
 @pytest.mark.parametrize("size", family([2e-4, 17.5e-3, 0.3]))
 def test_an_offset_of_all_distances_from_a_station(size: float) -> None:
     recording, _ = hall()
-    assert the_one(identified(shifted(recording, recording.station == 2, 0, size))) == ("constant-offset", ("S3",), ())
+    assert only_cause(identified(shifted(recording, recording.station == 2, 0, size))) == (
+        "constant-offset",
+        ("S3",),
+        (),
+    )
 
 
 @pytest.mark.parametrize(("size", "direction"), [(3e-5, "large"), (-3e-5, "small")])
@@ -117,18 +121,18 @@ def test_a_scale_error_of_a_station(share: float) -> None:
     recording, _ = hall()
     readings = recording.readings.copy()
     readings[recording.station == 1, 0] *= 1.0 + share
-    assert the_one(identified(recording.with_readings(readings))) == ("scale-error", ("S2",), ())
+    assert only_cause(identified(recording.with_readings(readings))) == ("scale-error", ("S2",), ())
 
 
 @pytest.mark.parametrize("size", [1.0, *family([100.0], 0)])
-def test_a_stand_that_settles_is_one_cause(size: float) -> None:
+def test_a_settling_stand_is_a_single_cause(size: float) -> None:
     """It was reported as a sudden motion and a drift of the station."""
     recording, truth = hall()
     settled = StationSettling(("S2",), time_constant=240.0).reading_change(
         sightings_at_state(recording, truth.state), size * np.array([2e-5, -1.5e-5, 5e-5])
     )
     selection = identified(recording.with_readings(recording.readings + settled))
-    assert the_one(selection) == ("station-settling", ("S2",), ())
+    assert only_cause(selection) == ("station-settling", ("S2",), ())
     assert selection.requires_adjustment_with_causes
     (effect,) = selection.fit.effects
     assert isinstance(effect, StationSettling)
@@ -144,7 +148,7 @@ def test_a_scale_error_of_all_distances_is_no_error_of_control_points(share: flo
     readings = recording.readings.copy()
     readings[:, 0] *= 1.0 + share
     selection = identified(recording.with_readings(readings))
-    assert the_one(selection) == ("scale-error", (), ())
+    assert only_cause(selection) == ("scale-error", (), ())
     assert selection.is_range_constant_error == (share < 1e-4)
     (test,) = cause_tests(selection)
     assert test.estimate == pytest.approx(1e6 * share, abs=5.0 * test.sigma)
@@ -174,12 +178,12 @@ def test_a_large_scale_error_of_all_distances_is_identified_from_the_lengths(fac
     assert np.allclose(adjusted.adjustment.state.target_points, truth.state.target_points, atol=2e-4)
 
 
-def test_feet_for_metres_at_one_station_are_a_unit() -> None:
+def test_feet_for_metres_at_a_single_station_are_a_unit() -> None:
     recording, _ = hall()
     readings = recording.readings.copy()
     readings[recording.station == 1, 0] /= 0.3048
     selection = identified(recording.with_readings(readings))
-    assert the_one(selection) == ("unit", ("S2",), ())
+    assert only_cause(selection) == ("unit", ("S2",), ())
     assert "feet for metres" in cause_tests(selection)[0].sentence
 
 
@@ -213,7 +217,7 @@ def test_a_reference_point_exchanged_with_another_target_is_named(*, is_in_recor
         wrong = recording.replace(setup=recording.setup.model_copy(update={"targets": targets}))
         first, second = second, first
     selection = identified(wrong)
-    assert the_one(selection) == ("names", (), (first, second))
+    assert only_cause(selection) == ("names", (), (first, second))
     (test,) = cause_tests(selection)
     assert test.sentence.startswith(f"The reference coordinates of {first} are those of {second}:")
     assert test.sentence[:-1] in str(lt.check(wrong)).splitlines()[0]
@@ -232,7 +236,7 @@ def test_a_constant_that_drifts_evenly_at_a_station(observable: str, size: float
     elapsed = (recording.time - recording.time[at].min()) / np.ptp(recording.time[at])
     wrong = shifted(recording, at, OBSERVABLES.index(observable), (size * elapsed)[at])
     selection = identified(wrong)
-    assert the_one(selection) == ("constant-drift", ("S2",), ())
+    assert only_cause(selection) == ("constant-drift", ("S2",), ())
     (test,) = [t for t in cause_tests(selection) if t.accepted and t.kind != "outlier"]
     assert test.acts_on == observable
     unit = 1e-3 if observable == "distance" else ARCSECOND
@@ -247,7 +251,7 @@ def test_a_constant_that_drifts_evenly_at_all_stations(observable: str, size: fl
     time = recording.time - np.array([recording.time[recording.station == s].min() for s in recording.station])
     wrong = shifted(recording, np.ones(len(time), bool), OBSERVABLES.index(observable), size * time / time.max())
     selection = identified(wrong)
-    assert the_one(selection) == ("constant-drift", (), ())
+    assert only_cause(selection) == ("constant-drift", (), ())
     (test,) = [t for t in cause_tests(selection) if t.accepted and t.kind != "outlier"]
     assert (test.acts_on, recommendation_for_cause(test)) == (
         observable,
@@ -265,7 +269,7 @@ def test_a_constant_that_changes_once_at_a_station_and_all_later_ones(observable
     begin = float(np.median(recording.time[recording.station == 1]))
     wrong = shifted(recording, recording.time >= begin, OBSERVABLES.index(observable), size)
     selection = identified(wrong)
-    assert the_one(selection) == ("constant-step", (), ())
+    assert only_cause(selection) == ("constant-step", (), ())
     (test,) = [t for t in cause_tests(selection) if t.accepted and t.kind != "outlier"]
     assert f"The {observable}s from all stations changed by" in test.sentence
 
@@ -277,7 +281,7 @@ def test_a_station_that_moves_evenly_is_no_drift_of_a_constant() -> None:
     motion = elapsed[:, None] * np.array([2e-4, -1e-4, -3e-4, 2e-5, 0.0, 0.0])
     change = reading_change_by_station_motion(sightings_at_state(recording, truth.state), motion)
     selection = identified(recording.with_readings(recording.readings + change))
-    assert the_one(selection) == ("station-drift", ("S2",), ())
+    assert only_cause(selection) == ("station-drift", ("S2",), ())
 
 
 @pytest.mark.parametrize("size", [1e-3, 10.0])
@@ -288,7 +292,7 @@ def test_a_reference_point_that_is_off(size: float) -> None:
     targets["T12"] = targets["T12"].model_copy(update={"known_mm": tuple(off.tolist())})
     wrong = recording.replace(setup=recording.setup.model_copy(update={"targets": targets}))
     selection = identified(wrong)
-    assert the_one(selection) == ("reference-value", (), ("T12",))
+    assert only_cause(selection) == ("reference-value", (), ("T12",))
     (test,) = [t for t in cause_tests(selection) if t.accepted]
     assert finding_title(cause_test_finding(test)) == "an error of the reference coordinates"
     assert np.allclose(selection.fit.state.target_points, truth.state.target_points, atol=2e-4)
@@ -302,7 +306,7 @@ def test_a_station_that_moved_in_mid_work(size: float) -> None:
     motion[rows[len(rows) // 2 :], :2] = [0.8 * size, -0.6 * size]
     change = reading_change_by_station_motion(sightings_at_state(recording, truth.state), motion)
     selection = identified(recording.with_readings(recording.readings + change))
-    assert the_one(selection) == ("station-bump", ("S2",), ())
+    assert only_cause(selection) == ("station-bump", ("S2",), ())
     (test,) = [t for t in cause_tests(selection) if t.kind == "station-bump"]
     assert test.estimate == pytest.approx(1e3 * size, abs=0.1)
     middle = len(rows) // 2
@@ -337,18 +341,18 @@ def test_a_target_that_moved_between_two_stations() -> None:
     motion[(recording.target == 4) & (recording.station >= 2)] = [1e-3, 0.0, 2e-3]
     change = reading_change_by_displacement(sightings_at_state(recording, truth.state), motion)
     selection = identified(recording.with_readings(recording.readings + change))
-    assert the_one(selection) == ("target-moved", (), ("T05",))
+    assert only_cause(selection) == ("target-moved", (), ("T05",))
     sentence = cause_tests(selection)[0].sentence
-    stated = re.match(
+    match = re.match(
         r"Target T05 moved between (\S+) s and (\S+) s \(rows (\d+) and (\d+)\), by \S+ \+- \S+ mm "
         r"\(dx (\S+) \+- \S+, dy (\S+) \+- \S+, dz (\S+) \+- \S+ mm\)\. The coordinates of T05 refer to the time ",
         sentence,
     )
-    assert stated is not None, sentence
-    before, after = int(stated[3]) - 1, int(stated[4]) - 1
+    assert match is not None, sentence
+    before, after = int(match[3]) - 1, int(match[4]) - 1
     assert recording.station[before] < 2 <= recording.station[after]
-    assert [float(stated[1]), float(stated[2])] == pytest.approx(recording.time[[before, after]], abs=0.05)
-    assert [float(stated[k]) for k in (5, 6, 7)] == pytest.approx([1.0, 0.0, 2.0], abs=0.1)
+    assert [float(match[1]), float(match[2])] == pytest.approx(recording.time[[before, after]], abs=0.05)
+    assert [float(match[k]) for k in (5, 6, 7)] == pytest.approx([1.0, 0.0, 2.0], abs=0.1)
     free_targets = {name: Target() for name in CONTROL}
     free_setup = recording.setup.model_copy(update={"targets": {**recording.setup.targets, **free_targets}})
     free = identified(recording.replace(readings=recording.readings + change, setup=free_setup))
@@ -362,7 +366,7 @@ def test_a_circle_that_was_turned_in_mid_work(angle: float) -> None:
     recording, _ = hall()
     rows = np.flatnonzero(recording.station == 0)
     wrong = shifted(recording, rows[len(rows) // 2 :], 1, angle)
-    kind, stations, _ = the_one(identified(wrong))
+    kind, stations, _ = only_cause(identified(wrong))
     assert stations == ("S1",)
     assert kind in ("orientation", "station-bump")  # a station that is turned turns its circle with it
 
@@ -373,7 +377,7 @@ def test_exchanged_names_are_put_right() -> None:
     rows = recording.station == 3
     target[rows & (recording.target == 2)], target[rows & (recording.target == 9)] = 9, 2
     selection = identified(recording.replace(target=target))
-    assert the_one(selection) == ("names", ("S4",), ("T03", "T10"))
+    assert only_cause(selection) == ("names", ("S4",), ("T03", "T10"))
     assert np.array_equal(
         apply_corrections_and_omissions(recording.replace(target=target), selection.fit.hypotheses).target,
         recording.target,
@@ -381,7 +385,7 @@ def test_exchanged_names_are_put_right() -> None:
 
 
 @pytest.mark.parametrize("size", [1e-3, 20.0])
-def test_one_bad_reading_is_an_outlier_and_no_cause(size: float) -> None:
+def test_a_single_bad_reading_is_an_outlier_and_no_cause(size: float) -> None:
     recording, _ = hall()
     selection = identified(shifted(recording, 40, 0, size))
     assert selection.selected_hypotheses == ()
@@ -398,7 +402,7 @@ def test_noise_other_than_declared(factor: float) -> None:
     other = noise.model_copy(update={name: getattr(noise, name) / factor for name in fields})
     instrument = recording.setup.instrument.model_copy(update={"noise": other})
     selection = identified(recording.replace(setup=recording.setup.model_copy(update={"instrument": instrument})))
-    assert the_one(selection) == ("noise-level", (), ())
+    assert only_cause(selection) == ("noise-level", (), ())
     (test,) = [t for t in cause_tests(selection) if t.kind == "noise-level"]
     assert test.estimate == pytest.approx(factor, rel=0.1)
     assert not selection.requires_adjustment_with_causes
@@ -424,12 +428,12 @@ def test_distances_are_put_aside_at_places_that_stand_out_alone(monkeypatch: pyt
 def test_two_causes_at_once() -> None:
     recording, _ = hall()
     wrong = shifted(shifted(recording, recording.target == 7, 0, 12.7e-3), recording.station == 2, 0, 2e-3)
-    found = {(c.hypothesis.stations, c.hypothesis.targets) for c in identified(wrong).selected_hypotheses}
-    assert found == {((), ("T08",)), (("S3",), ())}
+    places = {(c.hypothesis.stations, c.hypothesis.targets) for c in identified(wrong).selected_hypotheses}
+    assert places == {((), ("T08",)), (("S3",), ())}
 
 
 @pytest.mark.long
-def test_verbs_say_the_same_of_one_cause() -> None:
+def test_commands_report_the_same_for_a_single_cause() -> None:
     recording, truth = hall()
     wrong = shifted(recording, recording.target == 7, 0, 12.7e-3)
     adjusted, calibrated, checked = lt.adjust(wrong), lt.calibrate(wrong, advise=False), lt.check(wrong)
@@ -462,7 +466,7 @@ def test_a_robust_state_is_not_bent_by_a_reference_point_that_is_far_off() -> No
     assert np.allclose(state.target_points, truth.state.target_points, atol=2e-4)
 
 
-def test_alignment_survives_one_point_of_four_that_is_off_by_any_amount() -> None:
+def test_alignment_survives_any_error_of_a_point_among_four() -> None:
     source = np.array([[0.0, 0.0, 0.0], [6.0, 0.0, 1.0], [5.0, 7.0, 0.0], [0.0, 6.0, 3.0]])
     turn, shift = rotation_about_z(0.7), np.array([1.0, -2.0, 0.3])
     goal = source @ turn.T + shift
@@ -480,7 +484,7 @@ def test_the_occam_factor_is_the_integral_over_all_sizes() -> None:
     assert float(log_occam_factor_of_shift(w, 1)) == pytest.approx(np.log(integral), abs=0.02)
 
 
-def test_a_variance_factor_is_found_where_the_noise_has_it() -> None:
+def test_a_variance_factor_is_estimated_where_the_noise_has_it() -> None:
     draw = random_stream(5, "noise").normal(size=(200, 300)) * 2.0
     squares = np.sum(draw**2, axis=1)
     factor, gain = estimate_noise_factors_of_groups(squares, np.full(200, 300.0))
@@ -535,8 +539,8 @@ def test_misclosures_in_a_network_with_estimated_centring_errors() -> None:
     fit = NetworkFit.from_start(FitInput(declared, misalignment_construction()))
     assert fit is not None
     value = next(v for v in reference_values(fit.problem, fit.state) if v.kind == "point")
-    found = replace(fit, fit_input=replace(fit.fit_input, recording=recording)).misclosure_of(value)
-    np.testing.assert_allclose(found, fit.misclosure_of(value), atol=1e-15)
+    misclosures = replace(fit, fit_input=replace(fit.fit_input, recording=recording)).misclosure_of(value)
+    np.testing.assert_allclose(misclosures, fit.misclosure_of(value), atol=1e-15)
 
 
 def test_noise_factors_of_common_readings_are_estimated_together() -> None:
@@ -547,7 +551,7 @@ def test_noise_factors_of_common_readings_are_estimated_together() -> None:
     np.testing.assert_allclose(factors, np.tile([1.0, 2.0, 2.0], (1000, 1)), rtol=0.02)
 
 
-def test_larger_noise_of_one_observable_with_smaller_noise_of_another_is_reported() -> None:
+def test_larger_noise_of_an_observable_with_smaller_noise_of_another_is_reported() -> None:
     """Neither verb gave an advice, and `check` reported motions and outliers instead."""
     recording = network(faces=2, seed=21)[0]
     adjusted = adjust(recording)
@@ -570,11 +574,11 @@ def test_noise_of_the_angles_is_reported_with_the_settings_to_declare() -> None:
         * random_stream(22, "noise").standard_normal(recording.readings.shape)
     )
     noisy = recording.with_readings(recording.readings + extra * [0.0, 1.0, 1.0])
-    found = lt.check(noisy)
-    (test,) = (test for test in found.tests if test.accepted)
+    result = lt.check(noisy)
+    (test,) = (test for test in result.tests if test.accepted)
     assert (test.kind, test.acts_on) == ("noise-level", "angles")
     assert test.estimate == pytest.approx(2.4, rel=0.1)
     noise = noisy.setup.instrument_named(noisy.instruments[0]).noise
-    (declared,) = re.findall(r"azimuth_arcsec to ([0-9.]+)", found.sentence)
+    (declared,) = re.findall(r"azimuth_arcsec to ([0-9.]+)", result.sentence)
     assert float(declared) == pytest.approx(test.estimate * noise.azimuth_arcsec, rel=0.02)
-    assert [item.kind for item in found.items if not item.passed] == ["closure"]
+    assert [item.kind for item in result.items if not item.passed] == ["closure"]

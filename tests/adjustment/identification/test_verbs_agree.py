@@ -53,7 +53,7 @@ def longer(rows: Ints, offset: float = 0.0, scale: float = 0.0) -> Recording:
     return workshop().with_readings(readings)
 
 
-def one_distance(size: float) -> tuple[Recording, Place]:
+def wrong_distance(size: float) -> tuple[Recording, Place]:
     return longer(rows_of("S2", "T07")[:1], offset=size), (("S2",), ("T07",))
 
 
@@ -78,7 +78,7 @@ def badly_seated_reflector(size: float) -> tuple[Recording, Place]:
     return workshop().with_readings(workshop().readings + change), (("S2",), ("T07",))
 
 
-def badly_seated_reflector_in_one_face(size: float) -> tuple[Recording, Place]:
+def badly_seated_reflector_in_face_1(size: float) -> tuple[Recording, Place]:
     """As `badly_seated_reflector`, with a single pointing of each sight."""
     recording, place = badly_seated_reflector(size)
     return recording.select(recording.face == 1), place
@@ -167,7 +167,7 @@ class Results:
     def first_places(self) -> dict[str, Place]:
         """Place of the first cause that each verb with coordinates accepts."""
         tests = {"adjust": self.adjust.tests, "calibrate": self.calibrate.tests}
-        places = {verb: next(t.where for t in found if t.accepted) for verb, found in tests.items()}
+        places = {verb: next(t.where for t in verb_tests if t.accepted) for verb, verb_tests in tests.items()}
         places["diagnose"] = self.diagnose.findings[0].where
         return {verb: (where.stations, where.targets) for verb, where in places.items()}
 
@@ -178,7 +178,7 @@ def results(cause: Cause, size: float) -> Results:
     return Results.of_recording(cause(size)[0])
 
 
-CAUSES = (one_distance, ball_at_a_target, ball_at_a_station, scale_at_a_station)
+CAUSES = (wrong_distance, ball_at_a_target, ball_at_a_station, scale_at_a_station)
 
 RUNGS = [
     pytest.param(badly_seated_reflector, 1e-3, id="badly_seated_reflector"),
@@ -205,7 +205,7 @@ RUNGS = [
             index_at_a_station: (0.1, 5.0),
             moved_target: (1e-3, 0.05, 0.5),
             badly_seated_reflector: (2e-4, 0.02, 0.5),
-            badly_seated_reflector_in_one_face: (1e-3,),
+            badly_seated_reflector_in_face_1: (1e-3,),
             ball_at_all_stations: (2e-4, 0.0175, 0.3),
         }.items()
         for size in sizes
@@ -238,16 +238,16 @@ def test_every_verb_names_a_drift_of_the_distances_over_the_whole_recording() ->
     readings = recording.readings.copy()
     readings[:, 0] += 4e-4 * recording.time / recording.time.max()
     drifting = recording.with_readings(readings)
-    found = Results.of_recording(drifting)
-    checked = found.check
+    outcomes = Results.of_recording(drifting)
+    checked = outcomes.check
     assert "The distances from all stations drifted by" in checked.sentence
     assert "during the recording" in checked.sentence
-    assert set(found.first_places().values()) == {((), ())}
-    for result in (found.adjust, found.calibrate):
+    assert set(outcomes.first_places().values()) == {((), ())}
+    for result in (outcomes.adjust, outcomes.calibrate):
         (cause,) = [test for test in result.tests if test.accepted]
         assert (cause.kind, cause.acts_on) == ("constant-drift", "distance")
         assert cause.estimate == pytest.approx(0.4, abs=5.0 * cause.sigma)
-    assert found.diagnose.findings[0].effect == "range-drift"
+    assert outcomes.diagnose.findings[0].effect == "range-drift"
 
 
 @pytest.mark.long
@@ -258,16 +258,16 @@ def test_every_verb_names_a_constant_that_drifts_at_all_stations(observable: str
         adjust(recording).sightings, np.array([size])
     )
     drifting = recording.with_readings(recording.readings + change)
-    found = Results.of_recording(drifting)
-    checked = found.check
+    outcomes = Results.of_recording(drifting)
+    checked = outcomes.check
     assert not checked.passed
     assert f"The {observable}s from all stations drifted by" in checked.sentence
-    assert set(found.first_places().values()) == {((), ())}
-    for result in (found.adjust, found.calibrate):
+    assert set(outcomes.first_places().values()) == {((), ())}
+    for result in (outcomes.adjust, outcomes.calibrate):
         (cause,) = [test for test in result.tests if test.accepted]
         assert (cause.kind, cause.acts_on) == ("constant-drift", observable)
         assert cause.estimate == pytest.approx(size / (1e-3 if observable == "distance" else ARCSECOND), rel=0.3)
-    assert found.diagnose.findings[0].effect == effect
+    assert outcomes.diagnose.findings[0].effect == effect
 
 
 def test_every_verb_gives_the_settings_for_noise_declared_too_small() -> None:
@@ -301,8 +301,8 @@ def test_a_target_that_moved_is_in_the_model_of_a_calibration() -> None:
 def test_every_verb_says_to_which_time_the_coordinates_of_a_moved_target_refer() -> None:
     _, (_, targets) = moved_target(1e-3)
     sentence = f"The coordinates of {targets[0]} refer to the time before the motion."
-    found = results(moved_target, 1e-3)
-    for result in (found.adjust, found.calibrate, found.check, found.diagnose):
+    outcomes = results(moved_target, 1e-3)
+    for result in (outcomes.adjust, outcomes.calibrate, outcomes.check, outcomes.diagnose):
         section = result_section(result)
         assert sentence in section.terminal_text(), type(result)
         assert sentence in result.text(), type(result)
@@ -340,13 +340,15 @@ def test_only_what_the_model_contains_is_called_corrected(other_cause: Cause | N
     ("name", "error_mm"),
     [("T01", (0.3, 0.0, 0.0)), *family([("T01", (0.0, 2.0, 0.0)), ("T13", (30.0, -40.0, 0.0))], 2)],
 )
-def test_one_wrong_control_point_of_three_is_the_same_in_every_verb(name: str, error_mm: tuple[float, ...]) -> None:
+def test_a_wrong_control_point_among_three_is_the_same_in_every_command(name: str, error_mm: tuple[float, ...]) -> None:
     """Without the wrong point a rotation was free: 2 mm were reported as 5 m, or the right points as wrong."""
     recording = workshop()
     targets = dict(recording.setup.targets)
-    for known in ("T01", "T13", "T22"):
-        place = 1e3 * mesh()[recording.targets.index(known)] + np.array(error_mm) * (known == name)
-        targets[known] = targets[known].model_copy(update={"known_mm": tuple(place.tolist()), "known_sigma_mm": 0.01})
+    for control in ("T01", "T13", "T22"):
+        place = 1e3 * mesh()[recording.targets.index(control)] + np.array(error_mm) * (control == name)
+        targets[control] = targets[control].model_copy(
+            update={"known_mm": tuple(place.tolist()), "known_sigma_mm": 0.01}
+        )
     recording = recording.replace(setup=recording.setup.model_copy(update={"targets": targets}))
     sentences = [
         sorted(item.sentence for item in lt.check(recording).items if item.kind == "reference" and not item.passed)
@@ -361,7 +363,7 @@ def test_one_wrong_control_point_of_three_is_the_same_in_every_verb(name: str, e
     assert sentences[0] and sentences[0] == sentences[1] == sentences[2]
 
 
-def test_the_error_of_a_reference_value_has_one_standard_deviation() -> None:
+def test_the_error_of_a_reference_value_has_the_same_standard_deviation_everywhere() -> None:
     recording = with_control_points(workshop(), 2.0)
     result = lt.adjust(recording)
     assert result.adjustment is not None
@@ -375,8 +377,8 @@ def test_the_error_of_a_reference_value_has_one_standard_deviation() -> None:
 @pytest.mark.parametrize("cause", [exchanged_reference_points, *family([exchanged_names], 0)])
 def test_every_verb_gives_the_same_advice_on_exchanged_names(cause: Cause) -> None:
     _, (stations, targets) = cause(0.0)
-    found = results(cause, 0.0)
-    answers = (found.check, found.adjust, found.calibrate, found.diagnose)
+    outcomes = results(cause, 0.0)
+    answers = (outcomes.check, outcomes.adjust, outcomes.calibrate, outcomes.diagnose)
     (advice,) = {result_section(result).next_actions[0] for result in answers}
     assert all(name in advice for name in (*stations, *targets))
 

@@ -33,7 +33,7 @@ SINGLE = level_of_single_test(len(CATALOGUE) - len(ORDINARY_CALIBRATION_EFFECTS)
 """Level of one effect at one place in a search."""
 
 
-def test_noncentrality_of_one_parameter_is_the_classical_one() -> None:
+def test_noncentrality_of_a_single_parameter_is_the_classical_value() -> None:
     assert noncentrality(1) == pytest.approx((stats.norm.isf(0.0005) + stats.norm.ppf(TEST_POWER)) ** 2, rel=1e-3)
     assert noncentrality(1) == pytest.approx(17.07, abs=0.01)
     assert [noncentrality(q) for q in (1, 2, 6)] == sorted(noncentrality(q) for q in (1, 2, 6))
@@ -42,32 +42,35 @@ def test_noncentrality_of_one_parameter_is_the_classical_one() -> None:
 
 
 @pytest.mark.parametrize("effect", [StationWeather(stations=("S2",)), RangeStep(stations=("S4",))])
-def test_an_effect_of_the_minimal_size_is_found_with_the_stated_power(effect) -> None:  # type: ignore[no-untyped-def]
-    seen = detectability_of_variants(SPACE, [effect])
-    assert seen is not None
+def test_an_effect_of_the_minimal_size_is_detected_with_the_declared_power(effect) -> None:  # type: ignore[no-untyped-def]
+    detectability = detectability_of_variants(SPACE, [effect])
+    assert detectability is not None
     rows = SPACE.whitened_design(effect)
-    trials = np.random.default_rng(7).normal(size=(len(rows), 4000)) + rows @ seen.minimal_detectable_sizes[0][:, None]
-    fitted = seen.projected_basis[0].T @ SPACE.project(trials)
-    found = (fitted**2).sum(axis=0) > stats.chi2.isf(SINGLE, seen.projected_basis[0].shape[1])
-    assert found.mean() == pytest.approx(TEST_POWER, abs=0.02)
+    trials = (
+        np.random.default_rng(7).normal(size=(len(rows), 4000))
+        + rows @ detectability.minimal_detectable_sizes[0][:, None]
+    )
+    fitted = detectability.projected_basis[0].T @ SPACE.project(trials)
+    is_detected = (fitted**2).sum(axis=0) > stats.chi2.isf(SINGLE, detectability.projected_basis[0].shape[1])
+    assert is_detected.mean() == pytest.approx(TEST_POWER, abs=0.02)
 
 
-def test_a_noise_change_of_the_minimal_size_is_found_with_the_stated_power() -> None:
+def test_a_noise_change_of_the_minimal_size_is_detected_with_the_declared_power() -> None:
     """Score test of a variance factor, simulated: its statistic is normal only nearly, hence the wide band."""
     effect = NoiseLevel.candidates(INFORMATION.adjustment.sightings)[0]
-    seen = detectability_of_variants(SPACE, [effect])
-    assert seen is not None
+    detectability = detectability_of_variants(SPACE, [effect])
+    assert detectability is not None
     problem = INFORMATION.adjustment.problem
     size = np.zeros(len(effect.parameters))
-    size[0] = seen.minimal_detectable_sizes[0][0]
+    size[0] = detectability.minimal_detectable_sizes[0][0]
     variance = effect.variance(INFORMATION.adjustment.sightings, problem.reading_sigmas, size)
     factor = np.ones(SPACE.n_equations)
     factor[: int(problem.is_used_reading.sum())] = (variance / problem.reading_sigmas**2)[problem.is_used_reading]
     rng = np.random.default_rng(2)
     score = []
     for scale in (np.ones(len(factor)), np.sqrt(factor)):
-        left = SPACE.project(rng.normal(size=(len(factor), 3000)) * scale[:, None])
-        score.append(((factor - 1.0)[:, None] * left**2).sum(axis=0))
+        residuals = SPACE.project(rng.normal(size=(len(factor), 3000)) * scale[:, None])
+        score.append(((factor - 1.0)[:, None] * residuals**2).sum(axis=0))
     level = np.quantile(score[0], 1 - 0.5 * SINGLE)
     assert np.mean(score[1] > level) > 0.5
     assert np.mean(score[1] < score[0].mean()) < 0.01
@@ -75,14 +78,14 @@ def test_a_noise_change_of_the_minimal_size_is_found_with_the_stated_power() -> 
 
 def test_sizes_agree_with_the_reference_table_of_the_catalogue() -> None:
     """Two faces, joint: 3-sigma amplitudes of a like network; minimal sizes are 4.13 sigma."""
-    found = catalogue_detectability(INFORMATION.adjustment, [TransitOffset, StationWeather, RangeStep])
+    detectability = catalogue_detectability(INFORMATION.adjustment, [TransitOffset, StationWeather, RangeStep])
     sightings = INFORMATION.adjustment.sightings
     needed = {
         "transit-offset": noncentrality(1),
         "station-weather": search_noncentrality(1, len(StationWeather.candidates(sightings))),
         "range-step": search_noncentrality(1, len(RangeStep.candidates(sightings))),
     }
-    size = {row.parameter: 3 / np.sqrt(needed[row.parameter]) * row.median_size for row in found.table()}
+    size = {row.parameter: 3 / np.sqrt(needed[row.parameter]) * row.median_size for row in detectability.table()}
     assert size["transit-offset"] == pytest.approx(0.8e-6, rel=0.25)
     assert size["station-weather"] == pytest.approx(0.82e-6, rel=0.25)
     assert size["range-step"] == pytest.approx(3.8e-6, rel=0.25)
@@ -114,6 +117,8 @@ def test_likeness_is_whole_for_itself_and_small_for_strangers() -> None:
     assert step is not None
     assert explained_fraction(weather, weather) == pytest.approx(1.0, abs=1e-9)
     assert 0.5 < explained_fraction(step, weather) < 1.0
-    found = catalogue_detectability(INFORMATION.adjustment, [StationWeather, HeadSag])
-    assert found.detectable_effects == tuple(s.name for s in found.effects if any(c.size for c in s.projected_basis))
-    assert all(share > 0.9 for _, _, share in found.confusable_pairs())
+    detectability = catalogue_detectability(INFORMATION.adjustment, [StationWeather, HeadSag])
+    assert detectability.detectable_effects == tuple(
+        s.name for s in detectability.effects if any(c.size for c in s.projected_basis)
+    )
+    assert all(share > 0.9 for _, _, share in detectability.confusable_pairs())

@@ -32,7 +32,7 @@ def measured() -> PlannedNetwork:
     return PlannedNetwork.from_adjustment(adjust(recording, misalignment_construction()))
 
 
-def test_a_planned_network_knows_what_a_measured_one_knows(measured: PlannedNetwork) -> None:
+def test_a_planned_network_has_the_information_of_a_measured_network(measured: PlannedNetwork) -> None:
     """Everything once more in the same order, planned and then solved with its predicted readings."""
     recording = measured.recording
     twice = measured.with_pointings(recording.station, recording.target, recording.face)
@@ -55,7 +55,7 @@ def test_a_longer_network_never_knows_less(measured: PlannedNetwork) -> None:
         assert np.linalg.eigvalsh((before - after) / scale).min() > -1e-6, candidate.instruction
 
 
-def test_a_length_that_is_known_is_not_calibrated_again(measured: PlannedNetwork) -> None:
+def test_a_reference_length_is_not_calibrated_again(measured: PlannedNetwork) -> None:
     assert measured.with_length(24, 25, 0.002) is measured
     grown = measured.with_length(0, 25, 0.002)
     assert len(grown.recording.gauge.distance) == len(measured.recording.gauge.distance) + 1
@@ -80,9 +80,9 @@ def test_a_calibration_proposes_no_length_to_a_moved_target() -> None:
     name = first.partition(" between ")[2].split(" and ")[0]
     later = (plain.target == plain.targets.index(name)) & (plain.time > np.median(plain.time))
     moved = plain.with_readings(plain.readings + np.outer(later, [0.003, 0.0, 0.0]))
-    found = calibrate_network(moved)
-    assert any(test.where.targets == (name,) for test in found.tests)
-    instructions = " ".join(c.measurement for c in found.undetermined)
+    calibration = calibrate_network(moved)
+    assert any(test.where.targets == (name,) for test in calibration.tests)
+    instructions = " ".join(c.measurement for c in calibration.undetermined)
     assert "such as the distance between" in instructions and not re.search(rf"\b{name}\b", instructions)
 
 
@@ -90,9 +90,9 @@ def test_the_smallest_recordings_get_advice_and_no_traceback() -> None:
     """One pointing, one target from one station in both faces, two targets from one station."""
     recording, _ = network(seed=1, faces=2)
     for rows in (recording.target == 0, recording.target < 2):
-        one = recording.select(rows & (recording.station == 0))
-        found = calibrate_network(one)
-        assert all(c.cure for c in found.undetermined)
+        set_up = recording.select(rows & (recording.station == 0))
+        calibration = calibrate_network(set_up)
+        assert all(c.cure for c in calibration.undetermined)
     first = recording.select(np.arange(len(recording)) == 0)
     assert any("no tested measurement" in c.cure for c in calibrate_network(first).undetermined)
 
@@ -107,22 +107,22 @@ def test_every_way_of_measuring_on_has_its_sentence(measured: PlannedNetwork) ->
         *repeated_setup_candidates(measured, 1200.0),
         *near_reflector_candidates(measured)
     ]  # fmt: skip
-    said = {
+    matches = {
         candidate.instruction: {key for key, text in patterns.items() if re.fullmatch(text, candidate.instruction)}
         for candidate in tried
     }
-    assert all(len(keys) == 1 for keys in said.values()), said
-    assert {"other face", "close", "reverse", "length", "near", "turned"} <= set().union(*said.values())
+    assert all(len(keys) == 1 for keys in matches.values()), matches
+    assert {"other face", "close", "reverse", "length", "near", "turned"} <= set().union(*matches.values())
 
 
 def test_nobody_aims_at_the_mark_that_the_tripod_stands_on(measured: PlannedNetwork) -> None:
     """A target that the last station has not measured because it stands over it is no candidate; another one is."""
     recording = measured.recording
     last = int(recording.station[np.argmax(recording.time)])
-    kept = recording.select(~((recording.station == last) & np.isin(recording.target, [3, 4])))
-    network = PlannedNetwork.from_adjustment(adjust(kept, misalignment_construction()))
+    remaining = recording.select(~((recording.station == last) & np.isin(recording.target, [3, 4])))
+    network = PlannedNetwork.from_adjustment(adjust(remaining, misalignment_construction()))
     points, position = network.state.target_points.copy(), network.state.station_positions
-    points[kept.targets.index(recording.targets[3])] = position[last]
+    points[remaining.targets.index(recording.targets[3])] = position[last]
     over = replace(network, state=replace(network.state, target_points=points))
     words = [
         candidate.instruction for candidate in pointing_candidates(over) if "has not measured" in candidate.instruction
@@ -141,8 +141,8 @@ def test_nobody_aims_at_the_mark_that_the_tripod_stands_on(measured: PlannedNetw
 def test_a_plan_is_continued_in_plan_and_a_set_up_that_sees_too_little_is_no_remedy(tmp_path: Path) -> None:
     """A traverse between two known points: whoever stands at its end sees one target, and nobody reads a height."""
     places = {"A": (0.0, 0.0), "B": (100.0, 50.0), "C": (200.0, -40.0), "D": (300.0, 0.0)}
-    kept = {"A": "fix", "D": "fix", "B": "adj", "C": "adj"}
-    lines = [f'<point id="{n}" x="{x}" y="{y}" {kept[n]}="xy"/>' for n, (x, y) in places.items()]
+    kinds = {"A": "fix", "D": "fix", "B": "adj", "C": "adj"}
+    lines = [f'<point id="{n}" x="{x}" y="{y}" {kinds[n]}="xy"/>' for n, (x, y) in places.items()]
     for at, targets in {"A": "B", "B": "AC", "C": "BD", "D": "C"}.items():
         lines.append(f'<obs from="{at}">')
         for to in targets:
@@ -153,8 +153,8 @@ def test_a_plan_is_continued_in_plan_and_a_set_up_that_sees_too_little_is_no_rem
     head = '<gama-local><network axes-xy="en" angles="right-handed"><points-observations>'
     file = tmp_path / "traverse.gkf"
     file.write_text("\n".join([head, *lines, "</points-observations></network></gama-local>"]))
-    found = adjust(read(file))
-    network = PlannedNetwork.from_adjustment(found)
+    adjustment = adjust(read(file))
+    network = PlannedNetwork.from_adjustment(adjustment)
     before = len(network.recording)
     remedies = [*pointing_candidates(network), *repeated_setup_candidates(network, 60.0)]
     assert all(candidate.network.recording.is_horizontal_distance[before:].all() for candidate in remedies)

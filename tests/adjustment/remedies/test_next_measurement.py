@@ -54,7 +54,7 @@ def test_proposals_are_ranked_by_what_they_tell_about_the_instrument(drifting: t
     assert {p.candidate.kind for p in made.proposals} == {"pointings", "return", "station"}
 
 
-def test_a_tracker_without_parameters_is_told_nothing_and_explanations_are_still_decided(
+def test_a_tracker_without_parameters_gets_no_advice_and_explanations_are_still_distinguished(
     drifting: tuple[Recording, Truth],
 ) -> None:
     adjusted = adjust(drifting[0], ideal_construction())
@@ -117,12 +117,12 @@ def test_evidence_between_two_explanations_is_what_simulation_gives(drifting: tu
     design_columns = space.project(space.whitened_design(first.effect) @ first.parameter_values)[:, None]
     noise = space.project(np.random.default_rng(1).normal(size=(space.n_equations, 400)))
 
-    def left(effect, y):  # type: ignore[no-untyped-def]
+    def unexplained(effect, y):  # type: ignore[no-untyped-def]
         columns = space.project(space.whitened_design(effect))
         fitted = np.linalg.lstsq(columns, y, rcond=1e-8)[0]
         return ((y - columns @ fitted) ** 2).sum(axis=0) - columns.shape[1]
 
-    advantage = left(second.effect, design_columns + noise) - left(first.effect, design_columns + noise)
+    advantage = unexplained(second.effect, design_columns + noise) - unexplained(first.effect, design_columns + noise)
     spread = advantage.std() / np.sqrt(400)
     assert advantage.mean() > 0.8 * expected - 4 * spread
 
@@ -162,9 +162,9 @@ def test_a_suspicious_reflector_is_looked_at_again() -> None:
         name="nest-lift", stations=("S5",), targets=("T14",), values={"lift-y": 60.0}, shape={"kind": "free"}
     )
     made = load_scenario("paper-workshop").model_copy(update={"effects": (entry,)})
-    found = ranked_measurements(simulate(made, 2)[0], explanations=("nest-lift", "outlier", "target-moved"))
-    best = found.proposals[0]
-    assert max(found.present_chi2_differences.values()) < 5
+    proposals = ranked_measurements(simulate(made, 2)[0], explanations=("nest-lift", "outlier", "target-moved"))
+    best = proposals.proposals[0]
+    assert max(proposals.present_chi2_differences.values()) < 5
     assert best.distinguished_explanations == ("outlier",), (
         "it moved before the last visit, or in it: no pointing of that visit tells"
     )
@@ -179,11 +179,11 @@ def test_diagnosis_and_plan_give_the_same_advice() -> None:
     entry = EffectEntry(name="range-drift", values={"range-drift": 6.0})
     made = load_scenario("paper-workshop").model_copy(update={"effects": (entry,)})
     recording, _ = simulate(made, 3)
-    found = diagnose(recording)
-    between, beside = explanations_of_ambiguous_finding(found)
+    diagnosis = diagnose(recording)
+    between, context = explanations_of_ambiguous_finding(diagnosis)
     assert between
-    asked = next(f for f in found.findings if f.effect == between[0])
-    planned = ranked_measurements(recording, explanations=between, with_effects=beside)
+    asked = next(f for f in diagnosis.findings if f.effect == between[0])
+    planned = ranked_measurements(recording, explanations=between, with_effects=context)
     assert asked.separate_by == planned.advice_sentence
     assert (
         planned.proposals[0].candidate.instruction in planned.advice_sentence
@@ -202,9 +202,9 @@ def test_a_longer_recording_never_tells_less_and_its_evidence_is_that_of_all_riv
     )
     for candidate in list(pointing_candidates(PlannedNetwork.from_adjustment(adjustment)))[:3]:
         longer = residual_space_of(candidate.network.make_adjustment())
-        told, whole = (
+        evidence, whole = (
             rivals.expected_chi2_difference(longer),
             RivalCauses.from_explanations(longer, *explanations).present_chi2_difference,
         )
-        assert told >= rivals.present_chi2_difference - 1e-6
-        assert told == pytest.approx(whole, rel=0.02, abs=0.1)
+        assert evidence >= rivals.present_chi2_difference - 1e-6
+        assert evidence == pytest.approx(whole, rel=0.02, abs=0.1)

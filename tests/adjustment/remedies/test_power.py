@@ -50,21 +50,21 @@ class Search:
 
         The same holds for an effect on data that the network lacks.
         """
-        seen = detectability_of_variants(self.space, places)
-        if seen is None:
+        detectability = detectability_of_variants(self.space, places)
+        if detectability is None:
             return None
-        row = min(seen.table(), key=lambda r: r.median_size / r.plausible_size)
+        row = min(detectability.table(), key=lambda r: r.median_size / r.plausible_size)
         if not np.isfinite(row.median_size):
             return None
         acting = [effect for effect in subsample_evenly(places) if self.space.whitened_design(effect).any()]
-        for effect, sizes in zip(acting, seen.minimal_detectable_sizes, strict=True):
+        for effect, sizes in zip(acting, detectability.minimal_detectable_sizes, strict=True):
             names = [p.name for p in effect.parameters]
             if row.parameter in names and sizes[names.index(row.parameter)] == row.median_size:
                 column = self.space.whitened_design(effect)[:, names.index(row.parameter)]
                 return self.space.project(column * row.median_size)
         return None
 
-    def share_found(self, shift: Floats, trials: int) -> float:
+    def detected_fraction(self, shift: Floats, trials: int) -> float:
         """Share of recordings with it whose search is above the threshold."""
         white = random_stream(11, "power").standard_normal((self.space.n_equations, trials))
         residual = self.space.project(white) + shift[:, None]
@@ -88,7 +88,9 @@ def search() -> Search:
 
 
 @pytest.mark.long
-def test_an_effect_of_the_minimal_detectable_size_is_found_by_the_search_as_often_as_is_said(search: Search) -> None:
+def test_an_effect_of_the_minimal_detectable_size_is_detected_by_the_search_as_often_as_reported(
+    search: Search,
+) -> None:
     """One effect without a place, one of a station, one of a target, one of a reading."""
     chosen = {"gauge-scale", "station-weather", "target-moved", "smr-dihedral"}
     shares = {}
@@ -96,23 +98,25 @@ def test_an_effect_of_the_minimal_detectable_size_is_found_by_the_search_as_ofte
         if places[0].name in chosen:
             shift = search.shift(places)
             assert shift is not None
-            shares[places[0].name] = search.share_found(shift, 100)
+            shares[places[0].name] = search.detected_fraction(shift, 100)
     assert len(shares) == 4
     assert all(0.65 < share < 0.95 for share in shares.values()), shares
     assert np.mean(list(shares.values())) == pytest.approx(0.8, abs=0.07)
 
 
-def test_nothing_is_found_where_there_is_nothing(search: Search) -> None:
-    assert search.share_found(np.zeros(search.space.n_equations), 300) == pytest.approx(GLOBAL_TEST_LEVEL, abs=0.04)
+def test_nothing_is_detected_without_an_effect(search: Search) -> None:
+    assert search.detected_fraction(np.zeros(search.space.n_equations), 300) == pytest.approx(
+        GLOBAL_TEST_LEVEL, abs=0.04
+    )
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("faces", [1, 2])
-def test_every_effect_of_its_minimal_detectable_size_is_found_in_about_four_of_five(faces: int) -> None:
+def test_every_effect_of_its_minimal_detectable_size_is_detected_in_about_four_of_five(faces: int) -> None:
     """Over all effects of the catalogue that leave a trace."""
     search = Search(faces)
     shifts = {places[0].name: search.shift(places) for places in search.families()}
-    shares = {name: search.share_found(shift, 400) for name, shift in shifts.items() if shift is not None}
+    shares = {name: search.detected_fraction(shift, 400) for name, shift in shifts.items() if shift is not None}
     assert len(shares) > 28
     assert np.mean(list(shares.values())) == pytest.approx(0.82, abs=0.05), shares
     assert min(shares.values()) > 0.65, shares

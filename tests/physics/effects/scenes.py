@@ -89,9 +89,9 @@ def all_candidates(kind: type[Effect], sightings: Sightings) -> list[Effect]:
 
 def samples(kind: type[Effect], sightings: Sightings) -> Iterator[Effect]:
     """Some instances, spread over all."""
-    found = all_candidates(kind, sightings)
-    for i in np.unique(np.linspace(0, len(found) - 1, SAMPLES).round().astype(int)):
-        yield found[i]
+    candidates = all_candidates(kind, sightings)
+    for i in np.unique(np.linspace(0, len(candidates) - 1, SAMPLES).round().astype(int)):
+        yield candidates[i]
 
 
 def network_basis(sightings: Sightings, *, scale: bool = False) -> Floats:
@@ -106,8 +106,8 @@ def network_basis(sightings: Sightings, *, scale: bool = False) -> Floats:
         design[i, :, at : at + 3] = point[i]
     if scale:
         design[:, 0, -1] = sightings.range_
-    left, size, _ = np.linalg.svd(lengths(sightings, design).reshape(3 * n, -1), full_matrices=False)
-    basis: Floats = left[:, size > 1e-10 * size[0]]
+    range_basis, size, _ = np.linalg.svd(lengths(sightings, design).reshape(3 * n, -1), full_matrices=False)
+    basis: Floats = range_basis[:, size > 1e-10 * size[0]]
     return basis
 
 
@@ -118,7 +118,7 @@ def lengths(sightings: Sightings, change: Floats) -> Floats:
     return scaled
 
 
-def left_over(sightings: Sightings, change: Floats, *, scale: bool = False) -> Floats:
+def remaining_signature(sightings: Sightings, change: Floats, *, scale: bool = False) -> Floats:
     """What poses and targets leave (3n,) of a change (n, 3) of the readings, in lengths."""
     whole = lengths(sightings, change).ravel()
     basis = network_basis(sightings, scale=scale)

@@ -14,7 +14,7 @@ from ltsim.physics.effects.ciddor import refractive_index_decrease_per_kelvin, r
 from ltsim.physics.effects.heat_plume import HeatPlume
 from ltsim.physics.effects.rays import integrated_reading_change, relative_index_decrease_per_kelvin
 from ltsim.physics.effects.turbulence import Turbulence
-from tests.physics.effects.scenes import corrections, left_over, lengths, scene
+from tests.physics.effects.scenes import corrections, lengths, remaining_signature, scene
 
 SCENE = scene()
 FLOOR = float(min(SCENE.target_points[:, 2].min(), SCENE.station_positions[:, 2].min()))
@@ -71,10 +71,10 @@ def test_gradient_bends_and_shortens_as_the_formula_says() -> None:
     beta = refractive_index_decrease_per_kelvin(20.0)
     sensor = s.target_points[:, 2].mean()
     mean = 0.5 * (s.target_points[s.target, 2] + s.station_positions[s.station, 2])
-    found = corrections(AirGradient(), s)[:, :, 0]
-    np.testing.assert_allclose(found[:, 0], beta * s.range_ * (mean - sensor), rtol=3e-4)
-    np.testing.assert_allclose(found[:, 1], 0.0, atol=1e-18)
-    np.testing.assert_allclose(found[:, 2], -0.5 * beta * s.range_ * np.cos(s.elevation), rtol=3e-4)
+    changes = corrections(AirGradient(), s)[:, :, 0]
+    np.testing.assert_allclose(changes[:, 0], beta * s.range_ * (mean - sensor), rtol=3e-4)
+    np.testing.assert_allclose(changes[:, 1], 0.0, atol=1e-18)
+    np.testing.assert_allclose(changes[:, 2], -0.5 * beta * s.range_ * np.cos(s.elevation), rtol=3e-4)
     assert 1e6 * 0.5 * refractive_index_decrease_per_kelvin(27.0) * 8.0 == pytest.approx(3.7, abs=0.05)
 
 
@@ -97,10 +97,10 @@ def test_horizontal_gradient_bends_sideways() -> None:
         )
 
     change = 0.5 * (change_by(slope) - change_by(-slope))
-    _, left, up = SCENE.beam_vectors
+    _, lateral, up = SCENE.beam_vectors
     middle = 0.5 * (SCENE.target_points[SCENE.target, 0] + SCENE.station_positions[SCENE.station, 0])
     np.testing.assert_allclose(change[:, 0], -beta * slope * SCENE.range_ * (middle - 3.0), atol=1e-11)
-    turned = 0.5 * beta * slope * SCENE.range_ * left[:, 0] / np.cos(SCENE.elevation)
+    turned = 0.5 * beta * slope * SCENE.range_ * lateral[:, 0] / np.cos(SCENE.elevation)
     np.testing.assert_allclose(change[:, 1], turned, atol=1e-11)
     raised = 0.5 * beta * slope * SCENE.range_ * up[:, 0] * SCENE.face_sign
     np.testing.assert_allclose(change[:, 2], raised, atol=1e-11)
@@ -110,13 +110,13 @@ def test_network_absorbs_the_gradient_whole_and_neither_part_alone() -> None:
     """Nothing is left of bending and range together; much of either alone."""
     whole = AirGradient().design(SCENE)[:, :, 0]
     size = np.linalg.norm(lengths(SCENE, whole))
-    assert np.linalg.norm(left_over(SCENE, whole, scale=True)) < 1e-9 * size
+    assert np.linalg.norm(remaining_signature(SCENE, whole, scale=True)) < 1e-9 * size
     exact = AirGradient().reading_change(SCENE, np.array([0.1])) / 0.1
-    assert np.linalg.norm(left_over(SCENE, exact, scale=True)) < 1e-3 * size
+    assert np.linalg.norm(remaining_signature(SCENE, exact, scale=True)) < 1e-3 * size
     bending, range_ = whole * [0.0, 1.0, 1.0], whole * [1.0, 0.0, 0.0]
-    left = [left_over(SCENE, part, scale=True) for part in (bending, range_)]
-    assert min(np.linalg.norm(rest) for rest in left) > 0.05 * np.linalg.norm(lengths(SCENE, bending))
-    cosine = left[0] @ left[1] / np.linalg.norm(left[0]) / np.linalg.norm(left[1])
+    remaining = [remaining_signature(SCENE, part, scale=True) for part in (bending, range_)]
+    assert min(np.linalg.norm(rest) for rest in remaining) > 0.05 * np.linalg.norm(lengths(SCENE, bending))
+    cosine = remaining[0] @ remaining[1] / np.linalg.norm(remaining[0]) / np.linalg.norm(remaining[1])
     assert cosine == pytest.approx(-1.0, abs=1e-9)
 
 
@@ -128,7 +128,7 @@ def test_sensor_on_the_head_leaves_a_scale_at_each_station() -> None:
         (room - head)[:, 0], -relative_index_decrease_per_kelvin() * height * SCENE.range_, atol=1e-15
     )
     np.testing.assert_allclose((head - room)[:, 1:], 0.0)
-    assert np.linalg.norm(left_over(SCENE, head, scale=True)) > 1e-8
+    assert np.linalg.norm(remaining_signature(SCENE, head, scale=True)) > 1e-8
 
 
 def test_a_layer_lies_above_the_network_wherever_its_frame_is() -> None:
@@ -193,7 +193,7 @@ def test_heat_near_the_station_bends_and_heat_near_the_target_does_not() -> None
     assert bend[0] > 3 * bend[1]
 
 
-def test_turbulence_has_the_size_of_the_shop_it_was_seen_in() -> None:
+def test_turbulence_has_the_size_of_its_workshop() -> None:
     """40 um across at 2.5 m is C = 100 um^2/m^3."""
     nothing = np.zeros((len(SCENE), 3))
     variance = Turbulence().variance(SCENE, nothing, np.array([100e-12, 4e-12]))

@@ -65,16 +65,16 @@ def catalogue(module: ModuleType, **kinds: object) -> Catalogue:
 
 
 def test_installed_effects_follow_the_shipped_ones_by_name(strange: ModuleType) -> None:
-    found = catalogue(strange, Warm=made("warmth"), Cold=made("cold"))
-    assert [kind.name for kind in found] == ["beam-tilt", "backlash", "cold", "warmth"]
-    assert (found.entries["cold"].group, found.entries["backlash"].provider) == (
+    effects = catalogue(strange, Warm=made("warmth"), Cold=made("cold"))
+    assert [kind.name for kind in effects] == ["beam-tilt", "backlash", "cold", "warmth"]
+    assert (effects.entries["cold"].group, effects.entries["backlash"].provider) == (
         PACKAGE_EFFECTS_HEADING,
         BUILTIN_PROVIDER_NAME,
     )
-    assert found.find("warmth") is found[-1]
+    assert effects.find("warmth") is effects[-1]
 
 
-def test_what_ships_is_found_without_looking_for_packages() -> None:
+def test_shipped_effects_are_listed_without_a_search_for_packages() -> None:
     def never() -> list[EntryPoint]:
         raise AssertionError
 
@@ -95,16 +95,16 @@ def test_what_ships_is_found_without_looking_for_packages() -> None:
     ],
 )
 def test_an_effect_that_does_not_fit_is_refused_in_a_sentence(strange: ModuleType, kind: object, says: str) -> None:
-    found = catalogue(strange, Cold=kind)
+    effects = catalogue(strange, Cold=kind)
     with pytest.raises(
         ModelError, match=r"the effect 'Cold' \(a_strangers_effects:Cold of .*\) cannot be used: "
-    ) as told:
-        list(found)
-    assert says in str(told.value)
-    assert str(told.value).endswith("; repair or uninstall that package")
+    ) as caught:
+        list(effects)
+    assert says in str(caught.value)
+    assert str(caught.value).endswith("; repair or uninstall that package")
 
 
-def test_two_packages_with_one_name_are_told_apart(strange: ModuleType) -> None:
+def test_two_packages_with_the_same_name_are_distinguished(strange: ModuleType) -> None:
     with pytest.raises(ModelError, match="has an effect 'cold' already"):
         list(catalogue(strange, One=made("cold"), Two=made("cold")))
 
@@ -162,10 +162,10 @@ def test_the_example_package_is_simulated_fitted_and_diagnosed(package: Path, ro
     done = subprocess.run(
         [sys.executable, "session.py"], check=True, capture_output=True, text=True, cwd=tmp_path, env=shown
     )
-    listed, card, told = done.stdout.split("----\n")
+    listed, card, report = done.stdout.split("----\n")
     assert re.search(r"^installed\n  cable-drag +Cable drag: .* \[ltsim-cable-drag 1.0\]$", listed, re.MULTILINE)
     assert "Comes from   ltsim-cable-drag 1.0" in card
-    fitted, summary = told.splitlines()
+    fitted, summary = report.splitlines()
     value, sigma = (float(x) for x in re.findall(r"[0-9.]+(?:e-?[0-9]+)?", fitted))
     assert sigma < 0.5
     assert abs(value - 6.0) < 4 * sigma

@@ -46,9 +46,9 @@ def test_the_card_has_all_parts(kind: type[Effect]) -> None:
     card = catalogue_entry(kind)
     assert all(text.endswith(".") for _, text in card.sections())
     assert not card.title.endswith(".")
-    told = dict(card.sections())
-    assert re.search(r"\d", told["Size"]) or issubclass(kind, Blunder)
-    assert re.search(r"validated|empirical", told["Validation"])
+    sections = dict(card.sections())
+    assert re.search(r"\d", sections["Size"]) or issubclass(kind, Blunder)
+    assert re.search(r"validated|empirical", sections["Validation"])
 
 
 @EVERY
@@ -81,7 +81,7 @@ def test_zero_values_change_nothing(kind: type[Effect]) -> None:
 @EVERY
 def test_exact_form_agrees_with_first_order(kind: type[Effect]) -> None:
     """The difference is second order: within 5 % at a bad size, and a hundred times smaller at a tenth of it."""
-    own = 2e-3 if kind.name in AIR else 1e-9
+    tolerance = 2e-3 if kind.name in AIR else 1e-9
     for effect in samples(kind, SCENE):
         values = prior(effect)
         linear = effect.design(SCENE) @ values
@@ -89,7 +89,7 @@ def test_exact_form_agrees_with_first_order(kind: type[Effect]) -> None:
         large = np.abs(effect.reading_change(SCENE, values) - linear).max(axis=0)
         small = np.abs(effect.reading_change(SCENE, 0.1 * values) - 0.1 * linear).max(axis=0)
         assert (large <= 0.05 * size + 1e-12).all(), effect
-        assert (small <= 0.02 * large + 0.1 * own * size + 1e-13).all(), effect
+        assert (small <= 0.02 * large + 0.1 * tolerance * size + 1e-13).all(), effect
 
 
 @pytest.mark.parametrize(
@@ -110,12 +110,12 @@ def test_motions_take_a_high_reflector_into_account(kind: type[Effect]) -> None:
 def test_only_declared_observables_change(kind: type[Effect]) -> None:
     for effect in samples(kind, SCENE):
         silent = [c for c, o in enumerate(OBSERVABLES) if o not in effect.observables]
-        seen = [c for c, o in enumerate(OBSERVABLES) if o in effect.observables]
+        columns = [c for c, o in enumerate(OBSERVABLES) if o in effect.observables]
         changes = np.abs(np.dstack([effect.design(SCENE), effect.reading_change(SCENE, prior(effect))])).max(axis=0)
         largest = changes.max(axis=0)
         assert (changes[silent] <= 1e-9 * largest + 1e-14).all()
-        if not isinstance(effect, NoiseEffect) and seen:
-            assert (changes[seen].max(axis=1) > 1e-9 * largest.min()).all(), effect
+        if not isinstance(effect, NoiseEffect) and columns:
+            assert (changes[columns].max(axis=1) > 1e-9 * largest.min()).all(), effect
 
 
 @EVERY
@@ -166,7 +166,7 @@ def test_first_order_agrees_with_the_exact_chain(kind: type[ChainErrorEffect]) -
 
 
 @pytest.mark.parametrize("kind", [k for k in CATALOGUE if issubclass(k, NoiseEffect)], ids=lambda kind: kind.name)
-def test_noise_is_the_stated_one_at_zero(kind: type[NoiseEffect]) -> None:
+def test_noise_is_the_declared_noise_at_zero(kind: type[NoiseEffect]) -> None:
     sigma = np.abs(np.random.default_rng(1).normal(size=(len(SCENE), 3)))
     for effect in kind.candidates(SCENE):
         zero = np.zeros(len(effect.parameters))
@@ -183,7 +183,7 @@ def test_a_search_over_all_candidates_is_bounded() -> None:
     assert sum(len(kind.candidates(SCENE)) for kind in CATALOGUE) < 4000
 
 
-def test_effects_are_found_by_name() -> None:
+def test_effects_are_looked_up_by_name() -> None:
     assert find_effect("head-sag") is effects.find_effect("head-sag")
     assert find_effect("head-sag").name == "head-sag"
     with pytest.raises(ModelError, match=r"did you mean .*range-cyclic"):

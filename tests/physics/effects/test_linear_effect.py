@@ -24,7 +24,7 @@ class Ripple(LinearEffect):
         return design_from_front_face_corrections(sightings, azimuth=sign[:, None])
 
 
-def test_a_signature_is_estimated_beside_poses_and_targets() -> None:
+def test_a_signature_is_estimated_next_to_poses_and_targets() -> None:
     recording, truth = network(faces=2, seed=3)
     readings = recording.readings.copy()
     law = Ripple()
@@ -39,9 +39,9 @@ def test_what_an_adjustment_leaves_of_a_signature_holds_its_size() -> None:
     recording, truth = network(faces=2, seed=3)
     space = ResidualSpace.from_adjustment(adjust(recording, truth.construction))
     whole = space.whitened_design(Ripple())
-    left = space.project(whole)
+    projected = space.project(whole)
     assert whole.shape == (space.n_equations, 1)
-    assert 0.5 < float(left[:, 0] @ left[:, 0]) / float(whole[:, 0] @ whole[:, 0]) < 1.0
+    assert 0.5 < float(projected[:, 0] @ projected[:, 0]) / float(whole[:, 0] @ whole[:, 0]) < 1.0
 
 
 def test_a_law_without_a_design_is_refused() -> None:

@@ -36,20 +36,20 @@ CASES = [
 @pytest.mark.parametrize(("effect", "values"), CASES)
 def test_derivatives_at_large_values_are_those_of_the_change(effect: LinearEffect, values: np.ndarray) -> None:
     here = sightings()
-    found = effect.linearise(here, values)
-    assert np.array_equal(found.reading_change, effect.reading_change(here, values))
+    derivatives = effect.linearise(here, values)
+    assert np.array_equal(derivatives.reading_change, effect.reading_change(here, values))
     for k, step in enumerate(np.eye(len(values)) * STEP):
         change = effect.reading_change(here, values + step) - effect.reading_change(here, values - step)
         change[:, 1:] = wrap_angle(change[:, 1:])
-        assert np.abs(change / (2 * STEP) - found.parameter_derivatives[:, :, k]).max() < 1e-6
-    assert found.geometry_derivatives is not None
+        assert np.abs(change / (2 * STEP) - derivatives.parameter_derivatives[:, :, k]).max() < 1e-6
+    assert derivatives.geometry_derivatives is not None
     for axis in range(3):
         moved = [
             replace(here, target_points=here.target_points + sign * STEP * np.eye(3)[axis]) for sign in (1.0, -1.0)
         ]
         change = np.subtract(*(effect.reading_change(place, values) for place in moved))
         change[:, 1:] = wrap_angle(change[:, 1:])
-        assert np.abs(change / (2 * STEP) - found.geometry_derivatives[0][:, :, axis]).max() < 1e-5
+        assert np.abs(change / (2 * STEP) - derivatives.geometry_derivatives[0][:, :, axis]).max() < 1e-5
 
 
 def test_displaced_reflectors_are_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -113,23 +113,23 @@ def test_tilt_wobble_has_the_coupling_of_both_angles(order: int) -> None:
     """Delta_el = w_x sin az - w_y cos az, Delta_az = -tan el (w_x cos az + w_y sin az)."""
     for face in (1, 2):
         s = on_face(SCENE, face)
-        found = corrections(BearingWobble(kind="tilt", order=order), s)
+        changes = corrections(BearingWobble(kind="tilt", order=order), s)
         for k, amplitude in enumerate((1.0, 1.0j)):
             w = amplitude * np.exp(1j * order * s.ideal_raw_readings[:, 1])
             rise = w.real * np.sin(s.azimuth) - w.imag * np.cos(s.azimuth)
             turn = -np.tan(s.elevation) * (w.real * np.cos(s.azimuth) + w.imag * np.sin(s.azimuth))
-            np.testing.assert_allclose(found[:, :, k], np.stack([0 * rise, turn, rise], axis=1), atol=1e-12)
+            np.testing.assert_allclose(changes[:, :, k], np.stack([0 * rise, turn, rise], axis=1), atol=1e-12)
 
 
 def test_transit_wobble_is_a_lateral_shift_in_proportion_to_the_range() -> None:
     """D_t = f d eX(raw elevation)."""
     for face, f in ((1, 1.0), (2, -1.0)):
         s = on_face(SCENE, face)
-        found = corrections(BearingWobble(kind="transit", order=2), s)[:, 1]
+        change = corrections(BearingWobble(kind="transit", order=2), s)[:, 1]
         expected = f * np.stack(
             [np.cos(2 * s.ideal_raw_readings[:, 2]), np.sin(2 * s.ideal_raw_readings[:, 2])], axis=1
         )
-        np.testing.assert_allclose(found * np.cos(s.elevation)[:, None], expected, atol=1e-12)
+        np.testing.assert_allclose(change * np.cos(s.elevation)[:, None], expected, atol=1e-12)
 
 
 def test_detector_offset_is_a_beam_offset_of_half_its_size() -> None:

@@ -43,17 +43,17 @@ from ltsim.physics.effects.timing_lag import TimingLag
 from ltsim.physics.effects.vertical_index import VerticalIndex
 from ltsim.physics.effects.window import Window
 from ltsim.physics.effects.wrong_unit import WrongUnit
-from tests.physics.effects.scenes import chosen, corrections, left_over, lengths, network_basis, scene
+from tests.physics.effects.scenes import chosen, corrections, lengths, network_basis, remaining_signature, scene
 
 SCENE = scene()
 HOUR = 3600.0
 
 
-def test_interpolation_error_repeats_at_the_same_angle_on_its_own_circle() -> None:
+def test_interpolation_error_repeats_at_the_same_angle_of_its_circle() -> None:
     effect = EncoderInterpolation(circle="elevation", periods=3600)
-    found = -effect.design(SCENE)
+    design = -effect.design(SCENE)
     x = SCENE.ideal_raw_readings[:, 2]
-    np.testing.assert_allclose(found[:, 2], np.stack([np.cos(3600 * x), np.sin(3600 * x)], axis=1), atol=1e-9)
+    np.testing.assert_allclose(design[:, 2], np.stack([np.cos(3600 * x), np.sin(3600 * x)], axis=1), atol=1e-9)
     assert effect.observables == ("elevation",)
 
 
@@ -81,13 +81,13 @@ def test_range_step_starts_at_its_time_and_ends_with_the_visit() -> None:
     np.testing.assert_array_equal(change[rows[21:]], -1.0)
 
 
-def test_station_weather_is_the_range_scale_of_one_station() -> None:
+def test_station_weather_is_the_range_scale_of_a_station() -> None:
     here = SCENE.station == 3
     change = StationWeather(("S4",)).design(SCENE)
     np.testing.assert_allclose(change[here], RangeScale().design(SCENE)[here], atol=1e-12)
 
 
-def test_dead_path_follows_the_thermometer_and_needs_one() -> None:
+def test_dead_path_follows_the_thermometer_and_requires_it() -> None:
     kelvin = SCENE.covariates["air_temperature_c"] - 20.0
     np.testing.assert_allclose(DeadPath().design(SCENE)[:, 0, 0], -kelvin)
     assert DeadPath.candidates(replace(SCENE, covariates={})) == []
@@ -121,8 +121,8 @@ def test_search_for_a_wavelength_misses_little() -> None:
 
 
 def test_drifts_after_an_hour_are_the_offsets_they_drift_by() -> None:
-    one = 1 * SI_PER_UNIT["um/h"] * HOUR
-    assert one == pytest.approx(1e-6)
+    expected = 1 * SI_PER_UNIT["um/h"] * HOUR
+    assert expected == pytest.approx(1e-6)
     since = (SCENE.time - SCENE.time.min())[:, None, None]
     for drift, offset in ((RangeDrift(), RangeOffset()), (IndexDrift(), VerticalIndex())):
         np.testing.assert_allclose(drift.design(SCENE), offset.design(SCENE) * since, atol=1e-9)
@@ -141,19 +141,21 @@ def test_warm_up_dies_away_and_visits_start_anew() -> None:
 
 def test_azimuth_drift_over_the_recording_and_in_every_visit_are_the_same_up_to_yaw() -> None:
     gap = AzimuthDrift(law="linear").design(SCENE) - AzimuthDrift(law="visit").design(SCENE)
-    assert np.linalg.norm(left_over(SCENE, gap[:, :, 0])) < 1e-9 * np.linalg.norm(lengths(SCENE, gap[:, :, 0]))
+    assert np.linalg.norm(remaining_signature(SCENE, gap[:, :, 0])) < 1e-9 * np.linalg.norm(
+        lengths(SCENE, gap[:, :, 0])
+    )
 
 
 def test_expanding_mesh_is_a_drifting_scale_of_the_ranges() -> None:
     """1.000 where both wait while a station measures, 0.99 where they go on."""
     waiting = replace(SCENE, time=1000.0 * SCENE.station)
     for s, least in ((waiting, 1.0 - 1e-9), (SCENE, 0.99)):
-        mesh = left_over(s, MeshExpansion(mode="uniform").design(s)[:, :, 0], scale=True)
-        scale = left_over(s, -RefractivityDrift().design(s)[:, :, 0], scale=True)
+        mesh = remaining_signature(s, MeshExpansion(mode="uniform").design(s)[:, :, 0], scale=True)
+        scale = remaining_signature(s, -RefractivityDrift().design(s)[:, :, 0], scale=True)
         assert mesh @ scale > least * np.linalg.norm(mesh) * np.linalg.norm(scale)
 
 
-def test_steel_grows_by_69_um_over_6_m_and_one_kelvin() -> None:
+def test_steel_expands_by_69_um_over_6_m_and_1_kelvin() -> None:
     rows = chosen(SCENE, np.argsort(SCENE.time)[-1:].tolist())
     hours = (SCENE.time.max() - SCENE.time.min()) / HOUR
     rate = np.array([11.5 * SI_PER_UNIT["ppm/h"] / hours])
@@ -173,13 +175,13 @@ def test_vertical_expansion_lifts_only() -> None:
     np.testing.assert_allclose(change, lift, atol=1e-9)
 
 
-def test_gauge_scale_and_shape_change_the_stated_lengths_only() -> None:
+def test_gauge_scale_and_shape_change_the_declared_lengths_only() -> None:
     """A length stated too short by s L; a nest that moved by D changes L by D along it ."""
     first, second = np.array([24, 24, 25]), np.array([25, 26, 27])
     points = SCENE.target_points
     true = np.linalg.norm(points[first] - points[second], axis=1)
-    stated = true + GaugeScale().gauge_design(first, second, points) @ [164e-6]
-    np.testing.assert_allclose(true, stated * (1 + 164e-6), rtol=1e-7)
+    changed_lengths = true + GaugeScale().gauge_design(first, second, points) @ [164e-6]
+    np.testing.assert_allclose(true, changed_lengths * (1 + 164e-6), rtol=1e-7)
     motion = np.array([20e-6, -10e-6, 5e-6])
     moved = points.copy()
     moved[25] += motion
@@ -212,35 +214,35 @@ def test_axial_vertex_offset_of_a_reaimed_reflector_is_a_range_offset() -> None:
 def test_fixed_vertex_offset_shows_in_the_range_by_the_incidence() -> None:
     """Delta_d = e_a cos(alpha) + e_t sin(alpha) cos(chi - chi_0); 26 um at 30 deg is 13 um."""
     fixed = replace(SCENE, is_reaimed=np.zeros(28, dtype=bool))
-    known = np.isfinite(fixed.incidence_angle)
-    found = -SmrCentring().design(fixed)[known, 0]
-    alpha, chi = fixed.incidence_angle[known], fixed.incidence_direction[known]
+    is_finite = np.isfinite(fixed.incidence_angle)
+    offsets = -SmrCentring().design(fixed)[is_finite, 0]
+    alpha, chi = fixed.incidence_angle[is_finite], fixed.incidence_direction[is_finite]
     expected = np.stack([np.cos(alpha), np.sin(alpha) * np.cos(chi), np.sin(alpha) * np.sin(chi)], axis=1)
-    np.testing.assert_allclose(found, expected, atol=1e-9)
+    np.testing.assert_allclose(offsets, expected, atol=1e-9)
     assert 26.0 * np.sin(np.radians(30.0)) == pytest.approx(13.0)
 
 
 def test_split_spot_is_a_constant_angle_of_its_reflector() -> None:
-    found = corrections(SmrDihedral((), ("T07",)), SCENE)[SCENE.target == 6]
+    changes = corrections(SmrDihedral((), ("T07",)), SCENE)[SCENE.target == 6]
     here = chosen(SCENE, SCENE.target == 6)
-    np.testing.assert_allclose(found[:, 1, 0] * np.cos(here.elevation), 1.0)
-    np.testing.assert_allclose(found[:, 2, 1], 1.0)
-    assert not found[:, 0].any()
+    np.testing.assert_allclose(changes[:, 1, 0] * np.cos(here.elevation), 1.0)
+    np.testing.assert_allclose(changes[:, 2, 1], 1.0)
+    assert not changes[:, 0].any()
 
 
 @pytest.mark.parametrize(("degrees", "along", "across"), [(0.0, 1.500, 0.0), (30.0, 1.645, 0.58)])
 def test_window_of_three_millimetres(degrees: float, along: float, across: float) -> None:
     """3 mm of glass: 1.500 mm at normal incidence, 1.645 mm at 30 deg, 0.58 mm across."""
-    one = chosen(SCENE, [10])
-    beam, left, _ = (v[0] for v in one.beam_vectors)
+    window = chosen(SCENE, [10])
+    beam, lateral, _ = (v[0] for v in window.beam_vectors)
     angle = np.radians(degrees)
-    normal = tuple(float(x) for x in np.cos(angle) * beam + np.sin(angle) * left)
-    change = Window(pane_normal=normal).design(one)[:, :, 0] * 3e-3  # type: ignore[arg-type]
-    found = lengths(one, change)[0]
-    assert 1e3 * found[0] == pytest.approx(along, abs=5e-4)
-    assert 1e3 * abs(found[1]) == pytest.approx(across, abs=5e-3)
-    assert found[1] <= 1e-15  # away from the normal, which leans to the left
-    assert found[2] == pytest.approx(0.0, abs=1e-12)
+    normal = tuple(float(x) for x in np.cos(angle) * beam + np.sin(angle) * lateral)
+    change = Window(pane_normal=normal).design(window)[:, :, 0] * 3e-3  # type: ignore[arg-type]
+    length_change = lengths(window, change)[0]
+    assert 1e3 * length_change[0] == pytest.approx(along, abs=5e-4)
+    assert 1e3 * abs(length_change[1]) == pytest.approx(across, abs=5e-3)
+    assert length_change[1] <= 1e-15  # away from the normal, which leans to the left
+    assert length_change[2] == pytest.approx(0.0, abs=1e-12)
 
 
 def test_other_ball_lifts_every_target_of_the_station_along_its_normal() -> None:
@@ -262,7 +264,7 @@ def test_nest_lift_is_along_the_normal_and_free_is_anywhere() -> None:
     assert np.count_nonzero(np.abs(along).sum(axis=1)) == 2
 
 
-def test_moved_target_is_seen_in_the_same_direction_from_all_stations_afterwards() -> None:
+def test_moved_target_is_displaced_equally_for_all_later_stations() -> None:
     rows = np.flatnonzero(SCENE.target == 4)
     step = float(SCENE.time[rows[4]])
     moved = SCENE.target_points.copy()
@@ -299,15 +301,15 @@ def test_settling_station_ends_where_its_parameters_say() -> None:
     assert share == pytest.approx(0.632, abs=0.02)
     turned = matrix_from_rotation_vector(share * np.array([10e-6, -5e-6, 0.0])) @ SCENE.station_rotations[0]
     arm = SCENE.target_points[SCENE.target[row]] - SCENE.station_positions[0] - [0.0, 0.0, share * 30e-6]
-    seen = swap_front_and_raw(to_polar((arm @ turned)[None]), SCENE.face[[row]])[0]
-    np.testing.assert_allclose(change[row], seen - SCENE.ideal_raw_readings[row], atol=1e-13)
+    readings_after = swap_front_and_raw(to_polar((arm @ turned)[None]), SCENE.face[[row]])[0]
+    np.testing.assert_allclose(change[row], readings_after - SCENE.ideal_raw_readings[row], atol=1e-13)
 
 
 def test_bump_at_the_start_is_only_another_pose() -> None:
     early = StationBump(("S2",), time=0.0).design(SCENE)
     for k in range(6):
         whole = lengths(SCENE, early[:, :, k])
-        assert np.linalg.norm(left_over(SCENE, early[:, :, k])) < 1e-9 * np.linalg.norm(whole)
+        assert np.linalg.norm(remaining_signature(SCENE, early[:, :, k])) < 1e-9 * np.linalg.norm(whole)
     for effect in StationBump.candidates(SCENE):
         here = SCENE.station == SCENE.station_names.index(effect.stations[0])
         assert min((SCENE.time[here] < effect.time).sum(), (SCENE.time[here] >= effect.time).sum()) >= 3
@@ -318,7 +320,7 @@ def test_levelling_error_is_only_another_pose_where_poses_are_free() -> None:
         design = effect.design(SCENE)
         for k in range(2):
             whole = lengths(SCENE, design[:, :, k])
-            assert np.linalg.norm(left_over(SCENE, design[:, :, k])) < 1e-9 * np.linalg.norm(whole)
+            assert np.linalg.norm(remaining_signature(SCENE, design[:, :, k])) < 1e-9 * np.linalg.norm(whole)
 
 
 def test_levelling_bias_turns_about_the_axes_of_the_instrument() -> None:
@@ -381,7 +383,7 @@ def test_wrong_units_have_the_ratios_of_their_units() -> None:
         WrongUnit(("S2",), face=3)
 
 
-def test_outlier_is_one_reading() -> None:
+def test_outlier_is_a_single_reading() -> None:
     change = Outlier((), (), 12, "azimuth").design(SCENE)
     assert np.argwhere(change).tolist() == [[12, 1, 0]]
     assert change[12, 1, 0] == -1.0
@@ -395,6 +397,6 @@ def test_noise_scales_the_variance_of_its_readings() -> None:
     sigma = np.full((len(SCENE), 3), 2.0)
     twice = NoiseLevel().variance(SCENE, sigma, np.array([3.0, 0.0, 0.0]))
     np.testing.assert_allclose(twice, [[16.0, 4.0, 4.0]] * len(SCENE))
-    one = StationNoise(("S5",)).variance(SCENE, sigma, np.array([0.0, 3.0, 3.0]))
-    np.testing.assert_allclose(one[SCENE.station == 4], [[4.0, 16.0, 16.0]] * 56)
-    np.testing.assert_allclose(one[SCENE.station != 4], 4.0)
+    factor = StationNoise(("S5",)).variance(SCENE, sigma, np.array([0.0, 3.0, 3.0]))
+    np.testing.assert_allclose(factor[SCENE.station == 4], [[4.0, 16.0, 16.0]] * 56)
+    np.testing.assert_allclose(factor[SCENE.station != 4], 4.0)

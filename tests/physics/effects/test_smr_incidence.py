@@ -16,7 +16,7 @@ from ltsim.scene.sightings import Sightings
 NORMAL = np.array([1.0, 0.0, 0.0])
 
 
-def sightings(incidence: Floats, direction: Floats, *, reaimed: bool = False, known: bool = True) -> Sightings:
+def sightings(incidence: Floats, direction: Floats, *, reaimed: bool = False, has_incidence: bool = True) -> Sightings:
     """One target at the origin that looks along +x; a station in each wanted direction, 4 m away."""
     count = len(incidence)
     side, above = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
@@ -33,7 +33,7 @@ def sightings(incidence: Floats, direction: Floats, *, reaimed: bool = False, kn
         station_positions=4.0 * toward,
         station_rotations=np.tile(np.eye(3), (count, 1, 1)),
         target_points=np.zeros((1, 3)),
-        nest_normals=NORMAL[None, :] if known else np.full((1, 3), np.nan),
+        nest_normals=NORMAL[None, :] if has_incidence else np.full((1, 3), np.nan),
         is_reaimed=np.array([reaimed]),
         station_names=tuple(f"S{i}" for i in index),
         target_names=("T",),
@@ -59,7 +59,7 @@ CENTRE = len(INCIDENCE_TABLE_ANGLES) // 2
 FROM_CENTRE = np.array(PAPER_INCIDENCE_RANGE_ERRORS) - PAPER_INCIDENCE_RANGE_ERRORS[CENTRE]
 
 
-def test_the_table_is_met_at_its_own_angles_less_its_value_at_normal_incidence() -> None:
+def test_the_table_is_interpolated_exactly_at_its_angles_minus_its_value_at_normal_incidence() -> None:
     scene = sightings(*signed(INCIDENCE_TABLE_ANGLES))
     change = SmrIncidence(table=PAPER_INCIDENCE_RANGE_ERRORS).reading_change(scene, NONE)
     np.testing.assert_allclose(change[:, 0], FROM_CENTRE, atol=1e-12)
@@ -96,7 +96,7 @@ def test_direction_turns_the_table_around_the_nest() -> None:
     np.testing.assert_allclose(turned[:, 0], FROM_CENTRE, atol=1e-12)
 
 
-def test_across_the_plane_only_the_even_part_is_left() -> None:
+def test_across_the_plane_only_the_even_part_remains() -> None:
     angle = np.full(2, 30 * DEGREE)
     across = SmrIncidence(table=PAPER_INCIDENCE_RANGE_ERRORS).reading_change(
         sightings(angle, np.array([0.5, -0.5]) * np.pi), NONE
@@ -116,7 +116,7 @@ def test_reaimed_reflectors_have_no_error() -> None:
 
 
 def test_unknown_nests_give_no_terms_and_nothing_undefined() -> None:
-    scene = sightings(np.array([0.3]), np.array([0.2]), known=False)
+    scene = sightings(np.array([0.3]), np.array([0.2]), has_incidence=False)
     assert not SmrIncidence(table=PAPER_INCIDENCE_RANGE_ERRORS).reading_change(scene, NONE).any()
 
 

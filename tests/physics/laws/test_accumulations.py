@@ -58,10 +58,11 @@ def by_hand(s: Sightings, name: str, how: str, constant: float) -> np.ndarray:
                 "after tip": abs(s.covariate_values["move-elevation"][row]) > constant,
                 FIXED_COUNT_RESET_FUNCTION: number % constant == 0,
             }.get(how, False)
-            left = {TIME_DECAY_FUNCTION: np.exp(-gap / constant), POINTING_DECAY_FUNCTION: np.exp(-1.0 / constant)}.get(
-                how, 1.0
-            )
-            now = 0.0 if released else left * (now + x[row] - x[before])
+            decay = {
+                TIME_DECAY_FUNCTION: np.exp(-gap / constant),
+                POINTING_DECAY_FUNCTION: np.exp(-1.0 / constant),
+            }.get(how, 1.0)
+            now = 0.0 if released else decay * (now + x[row] - x[before])
             values[row] = now
     return values - values.mean()
 
@@ -86,7 +87,7 @@ def test_a_state_is_what_its_definition_gives(sightings: Sightings, name: str, h
     )
 
 
-def test_states_that_are_tried_differ_and_are_kept(sightings: Sightings) -> None:
+def test_candidate_states_differ_and_are_cached(sightings: Sightings) -> None:
     tried = candidate_accumulation_keys(sightings, ACCUMULATED_COVARIATES)
     assert len(set(tried)) == len(tried) > 100
     columns = np.stack([sightings.derived_cache[key] for key in tried], axis=1)
@@ -99,7 +100,7 @@ def test_states_that_are_tried_differ_and_are_kept(sightings: Sightings) -> None
         ],
         axis=1,
     )
-    kept = np.stack(
+    states = np.stack(
         [
             sightings.derived_cache[key]
             for key in tried[::40]
@@ -107,7 +108,7 @@ def test_states_that_are_tried_differ_and_are_kept(sightings: Sightings) -> None
         ],
         axis=1,
     )
-    np.testing.assert_allclose(again, kept, atol=1e-9)
+    np.testing.assert_allclose(again, states, atol=1e-9)
 
 
 def test_a_latch_holds_between_its_thresholds(sightings: Sightings) -> None:
@@ -119,7 +120,7 @@ def test_a_latch_holds_between_its_thresholds(sightings: Sightings) -> None:
         np.testing.assert_array_equal(on[between], on[sightings.previous_pointing_indices[between]])
 
 
-def test_a_switch_is_on_from_one_edge_to_the_next(sightings: Sightings) -> None:
+def test_a_switch_is_on_between_two_edges(sightings: Sightings) -> None:
     start, end, again = np.quantile(sightings.time, (0.2, 0.5, 0.8))
     column = switch_regressor([scalar_regressor("time", "step", edge) for edge in (start, end, again)]).columns(
         sightings
@@ -147,7 +148,7 @@ def test_what_stands_in_the_hall_temporary_regions_acts_on_the_lines_that_pass_i
         assert all(other.regressor.factors[1] == gate for other in law.neighbours(sightings))
 
 
-def test_edges_of_a_switch_move_one_at_a_time(sightings: Sightings) -> None:
+def test_edges_of_a_switch_move_separately(sightings: Sightings) -> None:
     times = np.quantile(sightings.time, (0.2, 0.5))
     law = EmpiricalLaw(
         response=RESPONSE_AND_DESIGN_BY_NAME["distance"][0],

@@ -34,7 +34,7 @@ def test_what_lags_comes_to_a_step_by_an_exponential_of_the_time(sightings):
 
 
 @pytest.mark.parametrize("size", [1e-200, 1.0, 1e200, 1.7e308])
-def test_a_column_whose_squares_are_no_numbers_has_an_rms_of_one(size: float) -> None:
+def test_a_column_whose_squares_are_no_numbers_has_an_rms_of_1(size: float) -> None:
     column = size * np.array([[1.0], [-0.5], [0.0]])
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -61,7 +61,11 @@ def test_drivers_have_columns_of_unit_size_and_words_of_the_interface(sightings)
         **candidate_regressors(sightings),
         **{f"group {k}": d for k, d in regressors_for_target_groups(sightings).items()},
     }
-    drivers = [d for kind, some in kinds.items() for d in some[:: 50 if kind == "wave" else 3 if "room" in kind else 1]]
+    drivers = [
+        d
+        for kind, regressors in kinds.items()
+        for d in regressors[:: 50 if kind == "wave" else 3 if "room" in kind else 1]
+    ]
     for driver in drivers:
         columns = driver.columns(sightings)
         assert columns.shape == (len(sightings), driver.n_columns)
@@ -94,12 +98,12 @@ def test_what_a_law_may_follow_is_closed_under_the_operators(sightings):
 
 
 def test_amounts_are_those_of_the_target_measured_before(sightings):
-    found = group_amounts_regressor("last-target", len(sightings.target_names)).columns(sightings)
+    columns = group_amounts_regressor("last-target", len(sightings.target_names)).columns(sightings)
     rows = sightings.previous_pointing_indices >= 0
     np.testing.assert_array_equal(
-        np.argmax(found[rows], axis=1), sightings.target[sightings.previous_pointing_indices[rows]]
+        np.argmax(columns[rows], axis=1), sightings.target[sightings.previous_pointing_indices[rows]]
     )
-    assert not found[~rows].any()
+    assert not columns[~rows].any()
 
 
 def test_carriers_show_mainly_in_the_readings_that_they_name(sightings):
@@ -133,12 +137,12 @@ def test_laws_are_effects_like_any_other(sightings):
     assert equivalent_effect_name(law) == "unknown"
 
 
-def test_an_elevation_that_errs_as_the_vertical_index_is_told_as_that(sightings):
+def test_an_elevation_that_errs_as_the_vertical_index_is_reported_as_such(sightings):
     reading = EmpiricalLaw(
         response=RESPONSE_AND_DESIGN_BY_NAME["elevation"][0], regressor=scalar_regressor("face", "power")
     )
-    one, _ = network(faces=1, seed=1)
-    alone = adjust(one, misalignment_construction()).sightings
+    recording, _ = network(faces=1, seed=1)
+    alone = adjust(recording, misalignment_construction()).sightings
     cases = [
         (reading, sightings, "vertical index"),
         (replace(reading, regressor=smooth_regressor("time")), sightings, "elevation"),
@@ -147,12 +151,12 @@ def test_an_elevation_that_errs_as_the_vertical_index_is_told_as_that(sightings)
         (replace(reading, response=RESPONSE_AND_DESIGN_BY_NAME["azimuth"][0]), sightings, "azimuth"),
     ]
     for law, sightings, carrier in cases:
-        told = law.equivalent_vertical_index_law(sightings)
-        assert told.response.name == carrier
-        assert np.abs(np.abs(told.design(sightings)) - np.abs(law.design(sightings))).max() < 1e-12
+        equivalent = law.equivalent_vertical_index_law(sightings)
+        assert equivalent.response.name == carrier
+        assert np.abs(np.abs(equivalent.design(sightings)) - np.abs(law.design(sightings))).max() < 1e-12
 
 
-def test_a_wave_is_told_by_amplitude_and_phase(sightings):
+def test_a_wave_is_reported_by_amplitude_and_phase(sightings):
     wave = EmpiricalLaw(
         (), (), RESPONSE_AND_DESIGN_BY_NAME["distance"][0], Regressor("wave", ("azimuth",), constant=3.0)
     )
@@ -162,7 +166,7 @@ def test_a_wave_is_told_by_amplitude_and_phase(sightings):
     assert (phase.value, phase.unit) == (pytest.approx(53.13, abs=0.01), "deg")
 
 
-def test_a_stand_that_leans_askew_is_one_law_and_told_along_both_axes(sightings):
+def test_an_obliquely_leaning_stand_is_a_single_law_and_reported_along_both_axes(sightings):
     law = EmpiricalLaw(
         ("S2",), (), RESPONSE_AND_DESIGN_BY_NAME["lean of the stand"][0], scalar_regressor("station-time", "power")
     )
@@ -170,16 +174,16 @@ def test_a_stand_that_leans_askew_is_one_law_and_told_along_both_axes(sightings)
     column = law.regressor.columns(sightings)[:, 0] * (sightings.station == 1)
     expected = (station_motion_design(sightings)[:, :, 3:5] @ way) * column[:, None]
     np.testing.assert_allclose(law.design(sightings) @ way, expected, atol=1e-20)
-    told = displayed_sizes(law, sightings, way, 1e-16 * np.eye(2))
-    assert [e.name for e in told] == ["rms", "swing about x", "swing about y"]
-    assert told[2].value / told[1].value == pytest.approx(0.8 / 0.6)
-    assert told[0].value == pytest.approx(
+    sizes = displayed_sizes(law, sightings, way, 1e-16 * np.eye(2))
+    assert [e.name for e in sizes] == ["rms", "swing about x", "swing about y"]
+    assert sizes[2].value / sizes[1].value == pytest.approx(0.8 / 0.6)
+    assert sizes[0].value == pytest.approx(
         np.sqrt(np.mean(column[sightings.station == 1] ** 2)) * 1e6 * np.hypot(*way), rel=1e-6
     )
     assert set(law.observables) == set(OBSERVABLES)
 
 
-def test_what_every_set_up_does_in_its_own_way_is_the_laws_of_the_set_ups_together(sightings):
+def test_a_law_with_separate_coefficients_is_the_sum_of_the_laws_of_the_set_ups(sightings):
     alone = EmpiricalLaw(
         ("S2",), (), RESPONSE_AND_DESIGN_BY_NAME["vertical index"][0], scalar_regressor("station-time", "power")
     )
@@ -189,8 +193,8 @@ def test_what_every_set_up_does_in_its_own_way_is_the_laws_of_the_set_ups_togeth
     np.testing.assert_array_equal(together.design(sightings), np.concatenate(parts, axis=2))
     mean = np.where(np.arange(len(parts)) == 3, -4e-6, 1e-6)
     (_, swing) = displayed_sizes(together, sightings, mean, 1e-16 * np.eye(len(mean)))
-    (_, own) = displayed_sizes(replace(alone, stations=("S4",)), sightings, mean[[3]], 1e-16 * np.eye(1))
-    assert swing == own  # where it does most
+    (_, separate_sizes) = displayed_sizes(replace(alone, stations=("S4",)), sightings, mean[[3]], 1e-16 * np.eye(1))
+    assert swing == separate_sizes  # where it does most
 
 
 def test_a_wall_does_not_know_where_a_tracker_looks(sightings):
@@ -199,13 +203,13 @@ def test_a_wall_does_not_know_where_a_tracker_looks(sightings):
     assert is_physically_possible("reading", smooth_regressor("azimuth"), sightings)
 
 
-def test_targets_on_one_surface_belong_together():
+def test_targets_on_a_common_surface_belong_together():
     rng = random_stream(5, "places")
     points = rng.uniform(0.0, 10.0, (12, 3))
     look = np.repeat([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], 6, axis=0)
-    found = target_clusters(SimpleNamespace(target_points=points, nest_normals=look))
-    assert {tuple(range(6)), tuple(range(6, 12))} <= found
-    assert all(MIN_GROUP_TARGETS <= len(group) <= 12 - MIN_GROUP_TARGETS for group in found)
+    clusters = target_clusters(SimpleNamespace(target_points=points, nest_normals=look))
+    assert {tuple(range(6)), tuple(range(6, 12))} <= clusters
+    assert all(MIN_GROUP_TARGETS <= len(group) <= 12 - MIN_GROUP_TARGETS for group in clusters)
 
 
 def test_coordinates_are_those_of_the_start_or_of_a_column_at_rest(sightings):
@@ -217,7 +221,7 @@ def test_coordinates_are_those_of_the_start_or_of_a_column_at_rest(sightings):
     assert abs(smooth_regressor("time").columns(loaded, acts_on_targets=True).mean(axis=0)).max() < 1e-12
 
 
-def test_how_far_targets_move_is_told_as_far_as_they_move(sightings):
+def test_reported_motions_of_targets_have_their_size(sightings):
     decay = EmpiricalLaw(
         targets=("T02",),
         response=RESPONSE_AND_DESIGN_BY_NAME["position of targets"][0],
@@ -251,13 +255,13 @@ def test_an_elevation_that_errs_by_its_sign_is_the_vertical_index(sightings):
     )  # a product has a constant too
 
 
-def test_each_target_of_a_small_group_may_move_by_an_amount_of_its_own(sightings):
+def test_each_target_of_a_small_group_may_move_by_a_separate_amount(sightings):
     group = sightings.target_names[:4]
     law = EmpiricalLaw(
         (), group, RESPONSE_AND_DESIGN_BY_NAME["height of targets in their nests"][0], scalar_regressor("time", "power")
     )
-    (own,) = law.candidate_forms_by_kind(sightings)["members"][0]
-    columns = own.columns(sightings)
+    (form,) = law.candidate_forms_by_kind(sightings)["members"][0]
+    columns = form.columns(sightings)
     assert columns.shape == (len(sightings), 4)
     for column, name in zip(columns.T, group, strict=True):
         at = sightings.target == sightings.target_names.index(name)
@@ -302,7 +306,7 @@ def test_a_law_that_a_card_describes_has_its_name(carrier, driver, stations, nam
         (("T1",), scalar_regressor("distance", "power"), "unknown"),
     ],
 )
-def test_a_step_or_creep_of_one_target_is_a_moved_target(targets, driver, name):
+def test_a_step_or_creep_of_a_single_target_is_a_moved_target(targets, driver, name):
     assert (
         equivalent_effect_name(EmpiricalLaw((), targets, RESPONSE_AND_DESIGN_BY_NAME["position of targets"][0], driver))
         == name

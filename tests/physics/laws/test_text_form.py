@@ -59,34 +59,34 @@ def every() -> list[Regressor]:
     clocks = [scalar_regressor("station-time", function, 480.0) for function in ("decay", "relaxing", "saturated")]
     clocks.append(scalar_regressor("move-azimuth", "fading", 0.5))
     clocks += [scalar_regressor("elevation", "hysteresis", 0.5), scalar_regressor("distance", "saw", 2.0)]
-    found = [scalar_regressor("press_load_kn" if f == "power" else "elevation", f, k) for f, k in named.items()]
-    found += [
+    regressors = [scalar_regressor("press_load_kn" if f == "power" else "elevation", f, k) for f, k in named.items()]
+    regressors += [
         CONSTANT_REGRESSOR,
         group_amounts_regressor("station", 5),
         Regressor("wave", ("azimuth",), constant=1.0),
         *edges,
         *clocks,
     ]
-    found += [
+    regressors += [
         Regressor(kind, (name,), constant=2 * np.pi / 45.0) for kind in ("wave", "cycle") for name in ("time", "circle")
     ]
-    found += [Regressor("wave", (name,), constant=2 * np.pi / 0.4) for name in ("x", "hall_temperature_c")]
-    found += [smooth_regressor(name) for name in ("circle", "hall_temperature_c")] + [
+    regressors += [Regressor("wave", (name,), constant=2 * np.pi / 0.4) for name in ("x", "hall_temperature_c")]
+    regressors += [smooth_regressor(name) for name in ("circle", "hall_temperature_c")] + [
         scalar_regressor(name, "power") for name in PHRASE_BY_COVARIATE if name not in GROUP_COVARIATES
     ]
-    found += [
+    regressors += [
         scalar_regressor("distance", "power", -1.0),
         piecewise_regressor([scalar_regressor("time", "step", 600.0), scalar_regressor("time", "ramp", 900.0)]),
     ]
-    found += [
+    regressors += [
         Regressor("lagging", ("hall_temperature_c",), constant=1200.0),
         group_amounts_regressor("last-target", 28),
     ]
-    found += [scalar_regressor("press_load_kn", "power").with_amount_per_target(("T01", "T02", "T04"))]
-    found += with_position_dependence(
+    regressors += [scalar_regressor("press_load_kn", "power").with_amount_per_target(("T01", "T02", "T04"))]
+    regressors += with_position_dependence(
         [scalar_regressor("press_load_kn", "power"), piecewise_regressor(edges[:1] * 2)], 2
     )
-    found += [
+    regressors += [
         make(HallRegion(axes, (2.5, -1.25, 0.4)[: len(axes)], 0.35))
         for axes in REGION_SHAPES
         for make in (
@@ -95,51 +95,51 @@ def every() -> list[Regressor]:
             nearness_regressor,
         )
     ]
-    found += [scalar_regressor("move-elevation", how, 0.3) for how in ("slack", "within", "stuck")]
-    found += [
+    regressors += [scalar_regressor("move-elevation", how, 0.3) for how in ("slack", "within", "stuck")]
+    regressors += [
         accumulation_regressor("work-azimuth", how, 1.0) for how in ("after face", "after seating", "after azimuth")
     ]
-    found += [
+    regressors += [
         accumulation_regressor("station-time", "after elevation", 1.0),
         accumulation_regressor("station-time", "after pause", 90.0),
     ]
-    found += [
+    regressors += [
         accumulation_regressor("count", "after slew", 0.5),
         accumulation_regressor("wound-azimuth", "after tip", 0.25),
         accumulation_regressor("count", FIXED_COUNT_RESET_FUNCTION, 12.0),
     ]
-    found += [
+    regressors += [
         accumulation_regressor("work-elevation", TIME_DECAY_FUNCTION, 300.0),
         accumulation_regressor("work-distance", POINTING_DECAY_FUNCTION, 4.0),
     ]
-    found += [
+    regressors += [
         latch_regressor("distance", 5.2, 4.1),
         latch_regressor("elevation", 0.3, -0.2),
         latch_regressor("hall_temperature_c", 21.5, 20.5),
     ]
-    found += [
+    regressors += [
         switch_regressor([scalar_regressor("time", "step", edge) for edge in times])
         for times in ((300.0, 900.0), (300.0, 900.0, 1500.0))
     ]
     column, start = path_length_regressor(HallRegion("xy", (1.0, 2.0), 0.3)), scalar_regressor("time", "step", -np.inf)
-    found += [
+    regressors += [
         Regressor("product", factors=(column, switch_regressor([start, scalar_regressor("time", "step", 600.0)]))),
         Regressor(
             "product",
             factors=(column, switch_regressor([scalar_regressor("time", "step", edge) for edge in (300.0, 900.0)])),
         ),
     ]
-    found.append(
+    regressors.append(
         Regressor("product", factors=(smooth_regressor("distance", 4), group_amounts_regressor("instrument", 1)))
     )
     return [
-        *found,
+        *regressors,
         Regressor("product", factors=(scalar_regressor("face", "power"), smooth_regressor("distance", 4))),
     ]
 
 
 @pytest.mark.parametrize("clock", [True, False])
-def test_every_driver_is_read_as_it_is_told(recording: Recording, clock: bool) -> None:
+def test_every_regressor_is_parsed_from_its_text(recording: Recording, clock: bool) -> None:
     assert {*FORMULA_FUNCTIONS, HYSTERESIS_FUNCTION} <= {driver.function for driver in every()}
     for driver in every():
         words = regressor_text(driver, has_clock=clock)
@@ -158,7 +158,7 @@ def test_what_a_diagnosis_may_tell_of_a_recording_is_read(recording: Recording) 
     assert set(BUILTIN_COVARIATES) <= set(sightings.covariate_values)
     tried = candidate_regressors(sightings)
     for driver in [
-        d for kind, some in tried.items() for d in some[:: 25 if kind == "wave" else 1] if kind not in ("room", "clock")
+        d for kind, laws in tried.items() for d in laws[:: 25 if kind == "wave" else 1] if kind not in ("room", "clock")
     ]:
         read = parse_regressor(regressor_text(driver), recording)
         assert regressor_text(read) == regressor_text(driver)
@@ -184,7 +184,7 @@ def test_another_amount_for_each_target_goes_with_targets(recording: Recording) 
             parse_law("position of targets", words, recording)
 
 
-def test_each_set_up_may_follow_in_its_own_way(recording: Recording) -> None:
+def test_each_set_up_may_have_separate_coefficients(recording: Recording) -> None:
     law = parse_law("elevation", "exp(-station-time / 8 min), separately at each set-up", recording)
     assert law.has_coefficients_per_setup and law.stations == recording.stations
     assert len(law.parameters) == len(recording.stations)
@@ -199,7 +199,7 @@ def test_examples_are_read(recording: Recording) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         ("", "expected a text such as"),
         ("a smooth function of pressure", "hall_temperature_c"),
@@ -210,6 +210,6 @@ def test_examples_are_read(recording: Recording) -> None:
         ("face times pressure", "'pressure' is not a function of covariates"),
     ],
 )
-def test_what_is_not_understood_is_answered_with_what_is(recording: Recording, words: str, said: str) -> None:
-    with pytest.raises(ModelError, match=said):
+def test_what_is_not_understood_is_answered_with_what_is(recording: Recording, words: str, message: str) -> None:
+    with pytest.raises(ModelError, match=message):
         parse_regressor(words, recording)

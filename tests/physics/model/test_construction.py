@@ -93,7 +93,7 @@ def test_reading_of_point_of_reading_closes(name: str, seed: int) -> None:
 
 
 @both
-def test_each_face_is_read_on_its_own_side(name: str) -> None:
+def test_each_face_is_read_on_its_side(name: str) -> None:
     made = CONSTRUCTIONS[name]
     points, face = room(5)
     raw = made.readings_from_points(points, face, drawn(made, 5))

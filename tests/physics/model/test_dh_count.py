@@ -74,9 +74,9 @@ class Design:
     @property
     def gauge(self) -> tuple[Floats, Floats]:
         """Instrument and nuisance columns with the six known lengths as further rows."""
-        known = len(self.gauge_by_target)
-        instrument = np.vstack([self.instrument, np.zeros((known, self.instrument.shape[1]))])
-        lengths = np.hstack([np.zeros((known, self.pose.shape[1])), self.gauge_by_target])
+        n_lengths = len(self.gauge_by_target)
+        instrument = np.vstack([self.instrument, np.zeros((n_lengths, self.instrument.shape[1]))])
+        lengths = np.hstack([np.zeros((n_lengths, self.pose.shape[1])), self.gauge_by_target])
         return instrument, np.vstack([np.hstack([self.pose, self.target]), lengths])
 
 
@@ -122,15 +122,15 @@ def gapped_rank(columns: Floats) -> int:
 
 def without(columns: Floats, nuisance: Floats) -> Floats:
     """What is left of column-scaled derivatives once the nuisance columns have taken what they can."""
-    left, spread, _ = np.linalg.svd(scaled(nuisance), full_matrices=False)
-    span = left[:, spread > GAP * spread[0]]
+    range_basis, spread, _ = np.linalg.svd(scaled(nuisance), full_matrices=False)
+    span = range_basis[:, spread > GAP * spread[0]]
     rest = scaled(columns)
     for _ in range(2):
         rest = rest - span @ (span.T @ rest)
     return rest
 
 
-def share_left(columns: Floats, nuisance: Floats) -> float:
+def remaining_fraction(columns: Floats, nuisance: Floats) -> float:
     """Largest length of a unit column outside the span of others: 0 means they reproduce it."""
     return float(np.linalg.norm(without(columns, nuisance), axis=0).max())
 
@@ -140,12 +140,12 @@ def test_the_count(faces: tuple[int, ...], seed: int) -> None:
     d = design(faces, seed)
     lengths = np.linalg.norm(d.instrument, axis=0)
     effective = int(np.count_nonzero(lengths > ROUNDING))
-    everything_known = gapped_rank(scaled(d.instrument))
-    known_targets = gapped_rank(without(d.instrument, d.pose))
+    rank_with_references = gapped_rank(scaled(d.instrument))
+    rank_with_targets = gapped_rank(without(d.instrument, d.pose))
     free_targets = gapped_rank(without(d.instrument, np.hstack([d.pose, d.target])))
     with_gauge = gapped_rank(without(*d.gauge))
     assert (dh_construction().n_parameters, effective) == (78, 78 - 14)
-    assert (everything_known, known_targets, free_targets, with_gauge) == (53, 47, 46, 47)
+    assert (rank_with_references, rank_with_targets, free_targets, with_gauge) == (53, 47, 46, 47)
 
 
 @network
@@ -184,14 +184,14 @@ def test_the_fourteen_without_effect() -> None:
 )
 def test_the_eleven_redundant_ones(lost: str, others: tuple[str, ...]) -> None:
     d = design((1, 2), 0)
-    assert share_left(d.column(lost), d.column(*others)) < ROUNDING
+    assert remaining_fraction(d.column(lost), d.column(*others)) < ROUNDING
 
 
 @network
 def test_the_six_that_poses_absorb(faces: tuple[int, ...], seed: int) -> None:
     """Height, yaw, two for the place on the floor, two for the tilt: names as in `kinematics.py`."""
     d = design(faces, seed)
-    assert share_left(d.column("J1.dY_c", "J1.eY_c"), d.pose) < ROUNDING
+    assert remaining_fraction(d.column("J1.dY_c", "J1.eY_c"), d.pose) < ROUNDING
     for kind in "de":
         first = d.column(*(f"J1.{kind}{axis}_{wave}" for axis in "XZ" for wave in ("sin", "cos")))
         assert gapped_rank(scaled(first)) == 4
@@ -199,8 +199,8 @@ def test_the_six_that_poses_absorb(faces: tuple[int, ...], seed: int) -> None:
 
 
 @network
-def test_the_one_that_free_targets_absorb_is_the_range_scale(faces: tuple[int, ...], seed: int) -> None:
+def test_the_parameter_that_free_targets_absorb_is_the_range_scale(faces: tuple[int, ...], seed: int) -> None:
     d = design(faces, seed)
     scale = d.column("T.dZ_1")
-    assert share_left(scale, d.pose) > 0.01
-    assert share_left(scale, np.hstack([d.pose, d.target])) < ROUNDING
+    assert remaining_fraction(scale, d.pose) > 0.01
+    assert remaining_fraction(scale, np.hstack([d.pose, d.target])) < ROUNDING

@@ -18,7 +18,7 @@ ROOM = matrix_from_rotation_vector(np.array([0.004, -0.003, 2.1]))
 """Room to network, as after an adjustment in a station's frame."""
 
 
-def recording_with(**stated: object) -> tuple[Recording, NetworkState]:
+def recording_with(**settings: object) -> tuple[Recording, NetworkState]:
     """The test network with a rough floor plan, its state in a frame of its own."""
     recording, truth = network(faces=1)
     rough = np.random.default_rng(5)
@@ -28,7 +28,7 @@ def recording_with(**stated: object) -> tuple[Recording, NetworkState]:
             "position_mm": tuple(1e3 * (place + rough.normal(0, 0.02, 3))),
             "yaw_deg": float(np.degrees(yaw)) + rough.normal(0, 1.0),
         }
-        stations[name] = Station.model_validate({k: plan[k] for k in plan if k in stated})
+        stations[name] = Station.model_validate({k: plan[k] for k in plan if k in settings})
     setup = recording.setup.model_copy(update={"stations": stations})
     state = NetworkState(
         truth.state.station_positions @ ROOM.T,
@@ -40,17 +40,17 @@ def recording_with(**stated: object) -> tuple[Recording, NetworkState]:
 
 
 @pytest.mark.parametrize(
-    "stated", [{"position_mm"}, {"yaw_deg"}, {"position_mm", "yaw_deg"}], ids=["position", "yaw", "both"]
+    "keys", [{"position_mm"}, {"yaw_deg"}, {"position_mm", "yaw_deg"}], ids=["position", "yaw", "both"]
 )
-def test_incidences_are_those_of_the_room(stated: set[str]) -> None:
+def test_incidences_are_those_of_the_room(keys: set[str]) -> None:
     recording, truth = network(faces=1)
     expected = sightings_at_state(recording, truth.state)
-    found = sightings_at_state(*recording_with(**dict.fromkeys(stated)))
-    np.testing.assert_allclose(found.incidence_angle, expected.incidence_angle, atol=np.radians(1.0))
-    assert np.degrees(np.abs(found.incidence_angle)).max() < 90
+    sightings = sightings_at_state(*recording_with(**dict.fromkeys(keys)))
+    np.testing.assert_allclose(sightings.incidence_angle, expected.incidence_angle, atol=np.radians(1.0))
+    assert np.degrees(np.abs(sightings.incidence_angle)).max() < 90
 
 
-def test_a_frame_that_is_the_plan_s_is_left_alone() -> None:
+def test_a_frame_that_is_the_plan_s_is_not_changed() -> None:
     recording, _ = recording_with(position_mm=None, yaw_deg=None)
     stations = np.stack([rotation_about_z(float(y)) for y in YAWS])
     np.testing.assert_array_equal(

@@ -46,7 +46,7 @@ def test_an_effect_without_a_prior_takes_its_place() -> None:
     assert extra(fixed, SmrIncidence(("S2",))) == 2 * len(SmrIncidence.parameters)
 
 
-def test_each_reflector_has_an_error_of_its_own() -> None:
+def test_each_reflector_has_a_separate_error() -> None:
     fixed = recorded(**{"targets.T01.reflector": "B", "targets.T02.reflector": "B"})
     first, second = incidence_errors(fixed)
     np.testing.assert_array_equal(first.reflector_indicator + second.reflector_indicator, 1.0)
@@ -63,9 +63,9 @@ def test_a_bench_test_is_met_within_its_uncertainty_and_leaves_what_it_did_not_s
     mean, root = incidence_prior_from_bench_test(bench(direction_deg=20.0))
     truth = SmrIncidence(table=PAPER_INCIDENCE_RANGE_ERRORS, direction=20.0 * DEGREE).parameter_values_of_table
     angles = np.abs(INCIDENCE_TABLE_ANGLES), np.where(INCIDENCE_TABLE_ANGLES < 0, np.pi, 0.0) + 20.0 * DEGREE
-    seen = SmrIncidence.range_correction_design(*angles)
-    np.testing.assert_allclose(seen @ mean, seen @ truth, atol=0.5e-6)
-    assert np.sqrt(np.sum((seen @ root) ** 2, axis=1)).max() < 0.5e-6
+    design = SmrIncidence.range_correction_design(*angles)
+    np.testing.assert_allclose(design @ mean, design @ truth, atol=0.5e-6)
+    assert np.sqrt(np.sum((design @ root) ** 2, axis=1)).max() < 0.5e-6
     across = SmrIncidence.range_correction_design(np.full(1, 30 * DEGREE), np.full(1, 110.0 * DEGREE))
     assert np.linalg.norm(across @ root) > 3e-6
 
@@ -92,8 +92,10 @@ def test_calibration_uses_the_bench_test_of_the_setup() -> None:
     aimed = recorded(**{"smr.nest_orientation": "re-aimed", "smr.incidence_error": False})
     variances = []
     for recording in (plain, tested, aimed):
-        found = lt.calibrate(recording, advise=False)
-        variances.append(found.sigma[0, found.instrument_parameter_names.index("azimuth-eccentricity-sin")] ** 2)
+        calibration = lt.calibrate(recording, advise=False)
+        variances.append(
+            calibration.sigma[0, calibration.instrument_parameter_names.index("azimuth-eccentricity-sin")] ** 2
+        )
     without, with_bench, none = variances
     assert with_bench - none < 0.5 * (without - none)
 

@@ -23,12 +23,12 @@ START = "import os, sys; [os.dup2(int(sys.argv[k]), k + 2) for k in (1, 2)]; os.
 
 
 class Tab:
-    """The page; `said` are its errors and console lines."""
+    """The page; `console_lines` are its errors and console lines."""
 
     def __init__(self, reads: int, writes: int) -> None:
         self._reads, self._writes = reads, writes
         self._rest, self._count, self._session, self._loaded = b"", 0, "", False
-        self.said: list[str] = []
+        self.console_lines: list[str] = []
 
     def call(self, method: str, **given: Any) -> dict[str, Any]:
         """One command of the DevTools protocol."""
@@ -38,26 +38,26 @@ class Tab:
             asked["sessionId"] = self._session
         os.write(self._writes, json.dumps(asked).encode() + b"\0")
         while True:
-            found = self._heard()
-            if found.get("id") == self._count:
-                assert "error" not in found, found
-                return found["result"]
+            answer = self._heard()
+            if answer.get("id") == self._count:
+                assert "error" not in answer, answer
+                return answer["result"]
 
     def _heard(self) -> dict[str, Any]:
         """The browser's next word; events are noted."""
-        found = self._next()
-        if found.get("method") in ("Runtime.exceptionThrown", "Runtime.consoleAPICalled", "Log.entryAdded"):
-            self.said.append(json.dumps(found["params"])[:500])
-        self._loaded |= found.get("method") == "Page.loadEventFired"
-        return found
+        message = self._next()
+        if message.get("method") in ("Runtime.exceptionThrown", "Runtime.consoleAPICalled", "Log.entryAdded"):
+            self.console_lines.append(json.dumps(message["params"])[:500])
+        self._loaded |= message.get("method") == "Page.loadEventFired"
+        return message
 
     def _next(self) -> dict[str, Any]:
         while b"\0" not in self._rest:
             more = os.read(self._reads, 1 << 16)
             assert more, "the browser is gone"
             self._rest += more
-        one, self._rest = self._rest.split(b"\0", 1)
-        return json.loads(one)
+        part, self._rest = self._rest.split(b"\0", 1)
+        return json.loads(part)
 
     def open(self, address: str, width: int, height: int) -> None:
         """Go to an address."""
@@ -73,9 +73,9 @@ class Tab:
 
     def value(self, expression: str) -> Any:
         """What an expression is on the page; promises are waited for."""
-        found = self.call("Runtime.evaluate", expression=expression, awaitPromise=True, returnByValue=True)
-        assert "exceptionDetails" not in found, found["exceptionDetails"]
-        return found["result"].get("value")
+        result = self.call("Runtime.evaluate", expression=expression, awaitPromise=True, returnByValue=True)
+        assert "exceptionDetails" not in result, result["exceptionDetails"]
+        return result["result"].get("value")
 
     def until(self, expression: str) -> Any:
         """Wait until an expression holds."""
@@ -102,8 +102,8 @@ class Tab:
 
     def picture(self, file: Path) -> None:
         """Write what is to be seen as a PNG."""
-        found = self.call("Page.captureScreenshot", captureBeyondViewport=True)
-        file.write_bytes(base64.b64decode(found["data"]))
+        answer = self.call("Page.captureScreenshot", captureBeyondViewport=True)
+        file.write_bytes(base64.b64decode(answer["data"]))
 
 
 @contextmanager

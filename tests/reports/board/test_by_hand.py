@@ -40,17 +40,17 @@ def test_the_board_says_what_the_planner_says(hall: Path) -> None:
     board = MovableLayout.from_plan(hall)
     stations = board.hall_json()["stations"]
     stations[1]["position_mm"][0] += 500.0
-    found = board.evaluation_json(stations)
+    evaluation = board.evaluation_json(stations)
     survey = board.survey_with_stations(stations)
     survey = survey.replace(is_visible=layout_visibility(board.search_space, survey).is_visible)
     assert survey.station_positions[1, 0] == pytest.approx(
         board.search_space.survey.station_positions[1, 0] + 0.5, abs=1e-4
     )
     information = ExpectedPrecision.from_survey(survey, board.construction)
-    assert [p["sigma_um"] for p in found["points"]] == pytest.approx(1e6 * information.target_point_errors)
-    assert found["rms_um"] == pytest.approx(1e6 * information.target_rms)
-    assert (np.array(found["reasons"]) == InvisibilityReason.VISIBLE).tolist() == survey.is_visible.tolist()
-    assert found["shadow"] == pytest.approx(survey.station_positions[:, 2] * np.tan(np.radians(35)))
+    assert [p["sigma_um"] for p in evaluation["points"]] == pytest.approx(1e6 * information.target_point_errors)
+    assert evaluation["rms_um"] == pytest.approx(1e6 * information.target_rms)
+    assert (np.array(evaluation["reasons"]) == InvisibilityReason.VISIBLE).tolist() == survey.is_visible.tolist()
+    assert evaluation["shadow"] == pytest.approx(survey.station_positions[:, 2] * np.tan(np.radians(35)))
 
 
 def test_the_verdict_says_when_a_station_less_is_too_few(hall: Path) -> None:
@@ -59,10 +59,10 @@ def test_the_verdict_says_when_a_station_less_is_too_few(hall: Path) -> None:
     survey = board.survey_with_stations(stations)
     survey = survey.replace(is_visible=layout_visibility(board.search_space, survey).is_visible)
     lost = [check_tolerances(survey.without_station(s), board.tolerances, board.construction) for s in range(3)]
-    said = board.verdict_json(stations)
-    assert said is not None
-    assert said["words"].startswith("Reached: all 8 tolerances" if said["reached"] else "Not reached: ")
-    assert ("any one station all are met" in said["words"]) == all(one.meets_all_tolerances for one in lost)
+    verdict = board.verdict_json(stations)
+    assert verdict is not None
+    assert verdict["words"].startswith("Reached: all 8 tolerances" if verdict["reached"] else "Not reached: ")
+    assert ("any one station all are met" in verdict["words"]) == all(station.meets_all_tolerances for station in lost)
     stations[0]["position_mm"] = [1000.0 * v for v in board.search_space.survey.target_points[0]]
     assert board.verdict_json(stations) is None
 
@@ -75,10 +75,10 @@ def test_a_layout_that_breaks_a_rule_is_never_reached(hall: Path) -> None:
     stations = board.hall_json()["stations"]
     assert board.verdict_json(stations)["reached"] and board.evaluation_json(stations)["problem"] == ""  # type: ignore[index]
     stations[1]["position_mm"][:2] = stations[0]["position_mm"][:2]
-    said = board.verdict_json(stations)
+    verdict = board.verdict_json(stations)
     rule = "S1 and S2 are 0.00 m apart, closer than 1 m (stations.spacing_mm)"
-    assert said is not None and not said["reached"]
-    assert said["words"].startswith(f"Not reached: the layout breaks a rule ({rule}). All 8 tolerances are met")
+    assert verdict is not None and not verdict["reached"]
+    assert verdict["words"].startswith(f"Not reached: the layout breaks a rule ({rule}). All 8 tolerances are met")
     assert board.evaluation_json(stations)["problem"] == rule
     place = ",".join(f"{v}" for v in stations[0]["position_mm"])
     move = {name: [float(v) for v in place.split(",")] for name in ("S1", "S2")}
@@ -86,25 +86,25 @@ def test_a_layout_that_breaks_a_rule_is_never_reached(hall: Path) -> None:
         lt.plan(hall, move=move)
 
 
-def test_a_station_beside_a_body_breaks_the_rule_of_clearance(hall: Path) -> None:
+def test_a_station_next_to_a_body_breaks_the_rule_of_clearance(hall: Path) -> None:
     hall.write_text(hall.read_text().replace("[11400, 2800], [600, 2800]", "[11400, 3245], [600, 3245]"))
     board = MovableLayout.from_plan(hall)
     stations = board.hall_json()["stations"]
     stations[0]["position_mm"][:2] = [7000.0, 3245.0]
-    found, said = board.evaluation_json(stations), board.verdict_json(stations)
-    assert re.match(r"S1 stands 0\.005 m from .*, closer than 0\.4 m \(stations\.clearance_mm\)", found["problem"])
-    assert found["may_stand"][0] is False and said is not None and not said["reached"]
+    evaluation, verdict = board.evaluation_json(stations), board.verdict_json(stations)
+    assert re.match(r"S1 stands 0\.005 m from .*, closer than 0\.4 m \(stations\.clearance_mm\)", evaluation["problem"])
+    assert evaluation["may_stand"][0] is False and verdict is not None and not verdict["reached"]
 
 
 def test_stations_are_added_and_removed(hall: Path, tmp_path: Path) -> None:
     board = MovableLayout.from_plan(hall)
     stations = board.hall_json()["stations"]
     more = [*stations, {"name": "S9", "position_mm": [1500.0, 6500.0, 1600.0], "yaw_deg": 10.0}]
-    found = board.evaluation_json(more)
-    assert len(found["reasons"]) == 4 and found["rms_um"] < board.evaluation_json(stations)["rms_um"]
-    assert found["hours"] > board.evaluation_json(stations)["hours"]
+    evaluation = board.evaluation_json(more)
+    assert len(evaluation["reasons"]) == 4 and evaluation["rms_um"] < board.evaluation_json(stations)["rms_um"]
+    assert evaluation["hours"] > board.evaluation_json(stations)["hours"]
     fewer = board.evaluation_json(stations[:2])
-    assert len(fewer["reasons"]) == 2 and fewer["rms_um"] > found["rms_um"]
+    assert len(fewer["reasons"]) == 2 and fewer["rms_um"] > evaluation["rms_um"]
     board.save(more, tmp_path / "moved")
     _, scenario = load_plan(tmp_path / "moved" / "plan.toml")
     assert list(scenario.stations) == ["S1", "S2", "S3", "S9"]
@@ -117,14 +117,14 @@ def test_stations_are_added_and_removed(hall: Path, tmp_path: Path) -> None:
             board.evaluation_json(wrong)
 
 
-def test_what_breaks_a_rule_is_said_and_judged_all_the_same(hall: Path) -> None:
+def test_layouts_that_break_a_rule_are_reported_and_evaluated(hall: Path) -> None:
     board = MovableLayout.from_plan(hall)
     stations = board.hall_json()["stations"]
     stations[0]["position_mm"][:2] = [4700.0, 1500.0]  # in the crane way
-    found = board.evaluation_json(stations)
-    assert found["problem"] == "S1 stands in an area to be kept free (floor.keep_outs, floor.doors)"
-    assert found["may_stand"][0] is False
-    assert found["points"]
+    evaluation = board.evaluation_json(stations)
+    assert evaluation["problem"] == "S1 stands in an area to be kept free (floor.keep_outs, floor.doors)"
+    assert evaluation["may_stand"][0] is False
+    assert evaluation["points"]
     stations[0]["position_mm"][:2] = [6000.0, 4000.0]  # inside the machine: it sees nothing
     assert "S1 stands outside the permitted floor" in board.evaluation_json(stations)["problem"]
     stations[0]["position_mm"][:2] = stations[1]["position_mm"][:2]
@@ -174,14 +174,14 @@ def test_a_folder_of_a_plan_begins_where_the_plan_stands(hall: Path, tmp_path: P
         (["--plan", "hall.toml", "--out", "taken"], "exists already"),
     ],
 )
-def test_what_is_wrong_is_one_sentence(given: list[str], sentence: str, hall: Path, monkeypatch, capsys) -> None:
+def test_wrong_input_is_refused_in_a_sentence(given: list[str], sentence: str, hall: Path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(hall.parent)
     Path("taken").mkdir()
     Path("taken/plan.toml").write_text("mine")
     assert run(["view", *given]) == 2
-    said = capsys.readouterr().err
-    assert sentence in said
-    assert said.count("\n") == 1
+    error_text = capsys.readouterr().err
+    assert sentence in error_text
+    assert error_text.count("\n") == 1
 
 
 START = "import signal; signal.signal(2, signal.default_int_handler); from ltsim.cli.main import main; main()"
@@ -253,7 +253,7 @@ def test_a_dragged_station_changes_the_accuracy_on_the_page(hall: Path, tmp_path
             tab.until("!busy && document.querySelector('#saved').textContent === ''")
             assert tab.value("stations") == before[3] != saved
             assert tab.value(COVERED) == []
-            assert not [line for line in tab.said if "hashes" not in line and '"rendering"' not in line]
+            assert not [line for line in tab.console_lines if "hashes" not in line and '"rendering"' not in line]
         _, scenario = load_plan(tmp_path / "moved" / "plan.toml")
         assert list(scenario.stations["S1"].position_mm) == after[2]
     finally:

@@ -69,12 +69,12 @@ class Open:
         return int(head.split()[1]), content
 
     @property
-    def own(self) -> bytes:
+    def layout_question(self) -> bytes:
         return json.dumps({"stations": self.stations}).encode()
 
     @property
     def lives(self) -> bool:
-        status, content = self.request("judged", self.own)
+        status, content = self.request("judged", self.layout_question)
         return status == 200 and bool(json.loads(content)["points"])
 
 
@@ -100,8 +100,8 @@ def board(hall: Path) -> Iterator[Open]:
     ]
     yield Open(int(place.partition(":")[2]), token, folder, stations)
     process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=60)
-    assert (process.returncode, said) == (0, "")
+    _, output = process.communicate(timeout=60)
+    assert (process.returncode, output) == (0, "")
 
 
 def test_the_page_and_its_questions_are_answered(board: Open) -> None:
@@ -109,9 +109,9 @@ def test_the_page_and_its_questions_are_answered(board: Open) -> None:
     assert status == 200 and b"<html" in page
     assert board.lives
     origin = f"http://127.0.0.1:{board.port}"
-    assert board.request("judged", board.own, Origin=origin)[0] == 200
+    assert board.request("judged", board.layout_question, Origin=origin)[0] == 200
     named = f"localhost:{board.port}"
-    assert board.request("judged", board.own, Host=named, Origin=f"http://{named}")[0] == 200
+    assert board.request("judged", board.layout_question, Host=named, Origin=f"http://{named}")[0] == 200
 
 
 ATTACK = """<body><p id="seen"></p><script>
@@ -141,7 +141,7 @@ def test_no_page_of_another_origin_frames_the_board(board: Open) -> None:
 def test_a_page_in_the_same_browser_that_knows_the_token_reads_and_saves_nothing(board: Open, tmp_path: Path) -> None:
     browser = find_browser()
     page = ATTACK.replace("ADDRESS", f"http://127.0.0.1:{board.port}/{board.token}/").replace("PORT", str(board.port))
-    page = page.replace("TOKEN", board.token).replace("QUESTION", json.dumps(board.own.decode()))
+    page = page.replace("TOKEN", board.token).replace("QUESTION", json.dumps(board.layout_question.decode()))
     (tmp_path / "evil.html").write_text(page)
     command = [
         browser,
@@ -150,8 +150,8 @@ def test_a_page_in_the_same_browser_that_knows_the_token_reads_and_saves_nothing
         "--dump-dom",
         (tmp_path / "evil.html").as_uri(),
     ]
-    seen = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False).stdout
-    assert '<p id="seen">done </p>' in seen
+    process = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False).stdout
+    assert '<p id="seen">done </p>' in process
     assert not board.folder.exists()
     assert board.lives
 
@@ -175,7 +175,7 @@ FOREIGN = (
 @pytest.mark.parametrize("name", ["", "judged", "save"])
 def test_who_knows_the_token_is_refused_under_another_name(headers: dict[str, str], name: str, board: Open) -> None:
     given = {key: value.replace("PORT", str(board.port)) for key, value in headers.items()}
-    status, content = board.request(name, board.own if name else b"", "POST" if name else "GET", **given)
+    status, content = board.request(name, board.layout_question if name else b"", "POST" if name else "GET", **given)
     assert status in (403, 421)
     assert content == b""
     assert not board.folder.exists()
@@ -184,7 +184,7 @@ def test_who_knows_the_token_is_refused_under_another_name(headers: dict[str, st
 @pytest.mark.parametrize(
     "path", ["/", "/judged", "//judged", "/wrong/", "/wrong/judged", "/{}/nothing", "/{}x/", "/%00"]
 )
-def test_other_paths_are_not_found(path: str, board: Open) -> None:
+def test_other_paths_do_not_exist(path: str, board: Open) -> None:
     for method in ("GET", "POST"):
         lines = f"{method} {path.format(board.token)} HTTP/1.1\r\nHost: 127.0.0.1:{board.port}\r\nContent-Length: 2\r\n"
         assert board.sent(lines.encode() + b"\r\n{}").split()[1] == b"404"
@@ -313,7 +313,7 @@ def test_slow_and_silent_connections_end_by_themselves(board: Open) -> None:
     assert board.lives
 
 
-def test_a_fault_is_told_and_the_board_goes_on(hall: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fault_is_reported_and_the_board_goes_on(hall: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     access = PlannerRequests(MovableLayout.from_plan(hall), tmp_path / "out")
 
     def broken(*_: object) -> None:
@@ -329,7 +329,7 @@ def test_a_layout_is_not_saved_through_a_link(board: Open, tmp_path: Path) -> No
     (tmp_path / "mine").write_text("mine")
     board.folder.mkdir()
     (board.folder / "plan.toml").symlink_to(tmp_path / "mine")
-    status, content = board.request("save", board.own)
+    status, content = board.request("save", board.layout_question)
     assert status == 200 and "leads out of the folder" in json.loads(content)["problem"]
     assert (tmp_path / "mine").read_text() == "mine"
     assert [p.name for p in board.folder.iterdir()] == ["plan.toml"]
@@ -337,7 +337,7 @@ def test_a_layout_is_not_saved_through_a_link(board: Open, tmp_path: Path) -> No
 
 
 def test_a_layout_is_saved(board: Open) -> None:
-    status, content = board.request("save", board.own)
+    status, content = board.request("save", board.layout_question)
     assert status == 200
     assert [Path(file).name for file in json.loads(content)] == ["scenario.toml", "plan.toml"]
     assert board.folder.exists()

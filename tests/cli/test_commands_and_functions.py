@@ -62,8 +62,8 @@ def plain(value: Any) -> Any:
 @pytest.mark.parametrize("verb", SAME)
 def test_an_option_is_a_parameter_of_the_function_with_the_same_default(verb: str):
     parameters = inspect.signature(getattr(lt, verb)).parameters
-    own = TERMINAL | READING | ONLY_HERE.get(verb, set()) | {"quiet", "as_json"}
-    options = {SPELLED.get(k, k): v for k, v in of_command(verb).items() if k not in own}
+    special_options = TERMINAL | READING | ONLY_HERE.get(verb, set()) | {"quiet", "as_json"}
+    options = {SPELLED.get(k, k): v for k, v in of_command(verb).items() if k not in special_options}
     named = {name: p for name, p in parameters.items() if p.kind is not p.VAR_KEYWORD}
     open_ended = len(named) < len(parameters)
     taken = {k for k, p in named.items() if p.default is not p.empty} - ONLY_THERE.get(verb, set())
@@ -77,7 +77,7 @@ def test_an_option_is_a_parameter_of_the_function_with_the_same_default(verb: st
 
 
 @pytest.mark.parametrize("name", [n for n in lt.__all__ if n not in ("effects", "errors", "Effect")])
-def test_every_parameter_is_documented_once_and_help_is_the_functions_own(name: str):
+def test_every_parameter_is_documented_once_and_help_is_that_of_the_function(name: str):
     function = getattr(lt, name)
     assert inspect.isfunction(function)
     text = inspect.getdoc(function) or ""
