@@ -335,14 +335,10 @@ def _errors_before_and_after_tables(
     names = cell_descriptions(results)
     blocks: list[Block] = []
     for share in RATIO_STATISTICS:
-        entries = [summaries.get(name, []) for name in (*error_columns_of_ratio(share), share)]
-        rows = [
-            [
-                names[row_summaries[0].cell], row_summaries[0].method,
-                *(_mean_interval_text(s, "") for s in row_summaries),
-            ]
-            for row_summaries in zip(*entries, strict=all(entries))
-        ]
+        columns = (*error_columns_of_ratio(share), share)
+        texts = [[_mean_interval_text(s, "") for s in summaries.get(name, [])] for name in columns]
+        places = [(names[s.cell], s.method) for s in summaries.get(share, [])]
+        rows = [[*place, *cells] for place, *cells in zip(places, *texts, strict=all(texts))]
         point_kind = "new point" if share.startswith("new_point") else "point"
         note = f"Raw: {_column_meaning(error_columns_of_ratio(share)[0])}. Share removed: {_column_meaning(share)}. "
         note += "Noise floor: error after correction with the true parameters. In brackets: 95 % interval."
