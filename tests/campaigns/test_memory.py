@@ -15,7 +15,7 @@ import pytest
 
 from ltsim.campaigns.batch_network import MAX_DISTANCE_TO_OPTIMUM
 from ltsim.campaigns.campaign import run_campaign
-from ltsim.campaigns.design import require_few_cells
+from ltsim.campaigns.design import require_few_cells, shared_json_values
 from ltsim.campaigns.results import CampaignResults
 from ltsim.campaigns.row_queries import rows_sql
 from ltsim.campaigns.schema import ManifestFile
@@ -206,6 +206,32 @@ def test_a_campaign_of_most_cells_and_most_pointings_takes_500_mb(tmp_path: Path
         process.returncode = os.waitstatus_to_exitcode(status)
     assert process.returncode == 0
     assert used.ru_maxrss < 500 * 1024
+
+
+def test_metadata_of_files_of_rows_are_no_cyclic_garbage(file: Path, tmp_path: Path) -> None:
+    """The metadata of 3,660 files, 70 kB each, stayed in memory until the next collection of cyclic garbage."""
+    file.write_text(FILE.replace("trials = 600", "trials = 12"))
+    run_campaign(file, tmp_path / "out")
+    shards = CampaignFolder(tmp_path / "out").shard_paths()
+    gc.collect()
+    gc.disable()
+    try:
+        rows_sql(shards)
+        assert not [part for part in gc.get_objects() if type(part) in (pq.FileMetaData, pq.ParquetSchema)]
+    finally:
+        gc.enable()
+
+
+def test_shared_json_values_leave_no_cyclic_garbage() -> None:
+    """The parts of all scenarios stayed in memory with the function that shared them."""
+    gc.collect()
+    gc.disable()
+    try:
+        first, second = shared_json_values([{"a": [{"b": 1}]}, {"a": [{"b": 1}]}])
+        assert first["a"] is second["a"]
+        assert not gc.collect()
+    finally:
+        gc.enable()
 
 
 def test_the_manifest_has_the_text_that_json_gives(file: Path, tmp_path: Path) -> None:
