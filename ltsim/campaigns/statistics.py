@@ -59,7 +59,7 @@ MAX_ROWS_FOR_EXACT_QUANTILES = 50_000_000
 """Largest number of rows for which quantiles are exact. They need all values of a column in memory; for more rows they
 are approximated (t-digest)."""
 
-Z_SCORE_BLOCK_CELLS = 256
+MAX_Z_SCORE_BLOCK_CELLS = 256
 """Largest number of cells (combinations of factor levels) whose z-scores are summarised together; a summary of one
 parameter takes 0.7 kB."""
 
@@ -340,12 +340,12 @@ class CampaignStatistics:
         return [*self.iterate_z_score_summaries()]
 
     def iterate_z_score_summaries(self) -> Iterator[ZScoreSummary]:
-        """Summaries of the z-scores in the order of `z_score_summaries`, from blocks of `Z_SCORE_BLOCK_CELLS` cells.
+        """Summaries of the z-scores in the order of `z_score_summaries`, computed for blocks of cells.
 
         A cell is a combination of factor levels. Rows that are read from their files for each query are queried once.
         """
         n_cells = len(self.levels)
-        step = Z_SCORE_BLOCK_CELLS if self._has_copied_rows else n_cells
+        step = MAX_Z_SCORE_BLOCK_CELLS if self._has_copied_rows else n_cells
         for first in range(0, n_cells, step):
             is_in_block = f" AND cell BETWEEN {first} AND {first + step - 1}" if step < n_cells else ""
             yield from sorted(self._z_scores_of_columns(is_in_block), key=lambda s: (s.cell, s.method))

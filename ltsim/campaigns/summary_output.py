@@ -70,9 +70,9 @@ def first_summary_rows(results: CampaignStatistics, max_rows: int) -> tuple[Tabl
 
 def summary_json_parts(results: CampaignStatistics) -> Iterator[str]:
     """Parts of the JSON text of the summary, equal to the text of `CampaignStatistics.summary` in JSON."""
-    frame = results.summary_without_entries()
+    summary = results.summary_without_entries()
     return json_object_parts(
-        frame.model_dump(mode="json"),
+        summary.model_dump(mode="json"),
         {
             "columns": map(_json_value, chain.from_iterable(entries for _, entries in results.summaries_by_column())),
             "z_scores": map(_json_value, results.iterate_z_score_summaries()),

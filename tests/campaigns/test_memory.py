@@ -277,7 +277,7 @@ def test_z_scores_of_blocks_of_cells_are_those_of_all(
     file.write_text(FILE.replace("trials = 600", "trials = 12"))
     run_campaign(file, tmp_path / "out")
     whole = CampaignResults(tmp_path / "out").z_score_summaries()
-    monkeypatch.setattr("ltsim.campaigns.statistics.Z_SCORE_BLOCK_CELLS", 1)
+    monkeypatch.setattr("ltsim.campaigns.statistics.MAX_Z_SCORE_BLOCK_CELLS", 1)
     assert CampaignResults(tmp_path / "out").z_score_summaries() == whole
     monkeypatch.setattr("ltsim.campaigns.statistics.MAX_COPIED_VALUES", 0)
     assert CampaignResults(tmp_path / "out").z_score_summaries() == whole
