@@ -133,13 +133,15 @@ def run_campaign(
     with store.lock():
         if force and not resume:
             store.remove_campaign()
-        if store.has_campaign:
-            campaign, cells = _extended_campaign(store, campaign, cells, file, resume=resume)
-            notes += _environment_change_notes(store)
+        existing_manifest = store.manifest_to_continue(resume=resume) if store.has_campaign else None
+        if existing_manifest is not None:
+            campaign, cells = _extended_campaign(store, existing_manifest, campaign, cells, file)
+            notes += _environment_change_notes(store, existing_manifest)
         manifest = _make_manifest(campaign, factors, cells)
         made_here = {name: getattr(manifest, name) for name in ("commit", "processor", "versions")}
-        if not store.has_campaign or store.manifest().model_copy(update=made_here) != manifest:
+        if existing_manifest is None or existing_manifest.model_copy(update=made_here) != manifest:
             store.write_manifest(manifest, sources)
+        del existing_manifest, manifest, sources  # the trials need their memory
         store.remove_unfinished_files()
         done, existing = 0, 0
         for wanted in iterate_stopping_rounds(campaign, len(cells), partial(_confidence_half_widths, folder)):
@@ -202,24 +204,17 @@ def _ineffective_effect_notes(
 
 
 def _extended_campaign(
-    store: CampaignFolder, campaign: CampaignFile, cells: tuple[CampaignCell, ...], file: Path, *, resume: bool
+    store: CampaignFolder,
+    manifest: ManifestFile,
+    campaign: CampaignFile,
+    cells: tuple[CampaignCell, ...],
+    file: Path,
 ) -> tuple[CampaignFile, tuple[CampaignCell, ...]]:
-    """Content and cells of a campaign in a folder, with the additions in the campaign file.
+    """Content and cells of the campaign of a `manifest`, with the additions in the campaign file.
 
     Existing cells (combinations of factor levels) keep their numbers. InputError is raised if the file would change
-    existing rows, or if `resume` is false.
+    existing rows.
     """
-    if not resume:
-        raise InputError(
-            f"{store.folder}: holds a campaign; continue it with {option_text('resume=True')}, "
-            f"name another {option_text('out')}, or start again with {option_text('force=True')}"
-        )
-    manifest = store.manifest()
-    if not all(old.digest for old in manifest.cells):
-        raise InputError(
-            f"{store.folder}: the campaign was started by an earlier version of ltsim; start again with another "
-            f"{option_text('out')}, or with {option_text('force=True')}"
-        )
     before, ordered, remaining = manifest.settings, list[CampaignCell](), list(cells)
     for old in manifest.cells:
         same = next((cell for cell in remaining if cell.digest == old.digest), None)
@@ -249,12 +244,11 @@ def _extended_campaign(
     return extended, (*ordered, *remaining)
 
 
-def _environment_change_notes(store: CampaignFolder) -> list[str]:
-    """Notes on changes since the start of the campaign: another commit of ltsim, or another processor type.
+def _environment_change_notes(store: CampaignFolder, manifest: ManifestFile) -> list[str]:
+    """Notes on changes since the campaign of `manifest` started: another commit of ltsim, or another processor type.
 
     InputError is raised for other versions of the packages in `VERSIONED_PACKAGES`.
     """
-    manifest = store.manifest()
     then, today = manifest.versions, _package_versions()
     for name in VERSIONED_PACKAGES:
         if then.get(name) != today[name]:

@@ -1,15 +1,19 @@
-"""SQL queries of the rows of a campaign from its files of rows, with the memory that they take."""
+"""SQL queries of the rows of a campaign from its files of rows: their text, memory, interruption and errors."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ltsim.campaigns.store import path_as_sql_text
+from ltsim.core.errors import InputError, option_text
 from ltsim.core.limits import BYTES_PER_MIB, MAX_DATABASE_MEMORY_BYTES, MAX_FILE_BYTES
+from ltsim.recordings.files import safe_excerpt
 
 MAX_COPIED_VALUES = 4_000_000
 """Largest number of values (rows times columns) of a campaign that the database copies into its memory, up to 8 bytes
@@ -29,10 +33,10 @@ def rows_sql(shards: Sequence[Path]) -> tuple[str, int]:
     shards_by_columns: dict[tuple[tuple[str, str], ...], list[Path]] = {}
     n_values = 0
     for shard in shards:
-        metadata = pq.read_metadata(shard)
-        columns = tuple((field.name, str(field.type)) for field in metadata.schema.to_arrow_schema())
+        with pq.ParquetFile(shard) as file:  # `metadata.schema` would remain until a collection of cyclic garbage
+            columns = tuple((field.name, str(field.type)) for field in file.schema_arrow)
+            n_values += file.metadata.num_rows * len(columns)
         shards_by_columns.setdefault(columns, []).append(shard)
-        n_values += metadata.num_rows * len(columns)
     selections = (
         f"SELECT * FROM read_parquet([{', '.join(map(path_as_sql_text, group))}])"
         for group in shards_by_columns.values()
@@ -61,3 +65,26 @@ def database_memory_limit(shards: Sequence[Path]) -> str:
     """Largest memory of DuckDB for queries over the files `shards`, as text for its settings: `250MiB`."""
     n_bytes = sum(shard.stat().st_size for shard in shards)
     return f"{MAX_DATABASE_MEMORY_BYTES * max(1.0, n_bytes / MAX_FILE_BYTES) / BYTES_PER_MIB:.0f}MiB"
+
+
+@contextmanager
+def interruptible_query() -> Iterator[None]:
+    """Context in which an interrupted query raises KeyboardInterrupt instead of DuckDB's RuntimeError."""
+    try:
+        yield
+    except RuntimeError as problem:
+        if str(problem) != "Query interrupted":
+            raise
+        raise KeyboardInterrupt from None
+
+
+def nan_if_none(value: float | None) -> float:
+    """Number, or NaN in place of None."""
+    return math.nan if value is None else float(value)
+
+
+def damaged_folder_error(folder: Path, problem: Exception) -> InputError:
+    """InputError for a file of rows that cannot be read, with the reason and the repair."""
+    reason = safe_excerpt(str(problem).split("\n")[0], 200)
+    repair = f"Run the campaign again with {option_text('resume=True')} to repair the folder"
+    return InputError(f"{folder}: a file of rows (shard) cannot be read: {reason}. {repair}")

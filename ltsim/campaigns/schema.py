@@ -1,14 +1,13 @@
 """Schema of manifest.json, and columns of the tables of a campaign."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from textwrap import indent
 from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
 from pydantic import ConfigDict, Field, StrictBool, StrictFloat, StrictInt, StrictStr, field_validator, model_validator
 
 from ltsim.campaigns.design import Factor, shared_json_values
+from ltsim.core.json_text import json_object_parts
 from ltsim.core.limits import MAX_JSON_VALUES
 from ltsim.core.results import Column, Table, number_columns, text_columns
 from ltsim.recordings.result_file import Entry, ResultFile
@@ -317,6 +316,7 @@ class ManifestFile(ResultFile):
 
     FILE: ClassVar[str] = "manifest.json"
     MAX_TEXTS: ClassVar[int] = MAX_JSON_VALUES
+    SHARES_EQUAL_OBJECTS: ClassVar[bool] = True
     format: Literal["ltsim-campaign-rows/1"] = "ltsim-campaign-rows/1"
     """Format and version of this file."""
     title: str = ""
@@ -347,10 +347,9 @@ class ManifestFile(ResultFile):
 
     def text(self) -> str:
         """Text of the JSON file; scenarios are converted one by one, because 4,000 of them would take 200 MB."""
-        text = ResultFile.text(self.model_copy(update={"scenarios": ()}))
+        content = self.model_copy(update={"scenarios": ()}).content()
         dumps = (scenario.model_dump(mode="json", by_alias=True, exclude_unset=True) for scenario in self.scenarios)
-        entries = ",\n".join(indent(json.dumps(dump, indent=1, allow_nan=False), "  ") for dump in dumps)
-        return text.replace('\n "scenarios": []', f'\n "scenarios": [\n{entries}\n ]', 1) if entries else text
+        return "".join([*json_object_parts(content, {"scenarios": dumps}), "\n"])
 
     def _summary_lines(self) -> list[str]:
         title = f"{self.title}: " if self.title else ""

@@ -6,7 +6,6 @@ import math
 import shutil
 import weakref
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any
@@ -20,8 +19,11 @@ from ltsim.campaigns.columns import columns_from_rows
 from ltsim.campaigns.row_queries import (
     MAX_COPIED_VALUES,
     column_units,
+    damaged_folder_error,
     database_memory_limit,
     improvement_sql,
+    interruptible_query,
+    nan_if_none,
     rows_sql,
 )
 from ltsim.campaigns.schema import (
@@ -35,15 +37,14 @@ from ltsim.campaigns.schema import (
     find_result_column,
     sql_identifier,
     statistic_sql_expressions,
-    summary_table,
 )
 from ltsim.campaigns.stopping import interval_error_rate, student_t_quantile
 from ltsim.campaigns.store import CampaignFolder
 from ltsim.campaigns.summary import CampaignSummary, SolverComparison, StatisticSummary, ZScoreSummary, unchecked_entry
+from ltsim.campaigns.summary_output import summary_rows
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import InputError, ModelError, option_text, unknown_name_error
+from ltsim.core.errors import InputError, ModelError, unknown_name_error
 from ltsim.core.results import ColumnValues, Table
-from ltsim.recordings.files import safe_excerpt
 from ltsim.recordings.result_file import Entry
 
 NORMAL_QUANTILE_95 = 1.959963984540054
@@ -57,6 +58,10 @@ DATABASE_SETTINGS: dict[str, Any] = {
 MAX_ROWS_FOR_EXACT_QUANTILES = 50_000_000
 """Largest number of rows for which quantiles are exact. They need all values of a column in memory; for more rows they
 are approximated (t-digest)."""
+
+MAX_Z_SCORE_BLOCK_CELLS = 256
+"""Largest number of cells (combinations of factor levels) whose z-scores are summarised together; a summary of one
+parameter takes 0.7 kB."""
 
 
 class CampaignStatistics:
@@ -104,7 +109,7 @@ class CampaignStatistics:
         self._set_temporary_folder()
         try:
             store.verify_shards(shards, {cell.cell: cell.digest for cell in self.manifest.cells})
-            with _interruptible():
+            with interruptible_query():
                 source, n_values = rows_sql(shards)
                 names = [row[0] for row in self._database.execute(f"DESCRIBE {source}").fetchall()]
                 self._has_copied_rows = n_values <= MAX_COPIED_VALUES
@@ -119,7 +124,7 @@ class CampaignStatistics:
             )
             self.units = {f.name: f.unit for f in self.factors if f.unit} | column_units(pq.read_schema(shards[0]))
         except (duckdb.Error, pa.ArrowException, OSError, ValueError) as problem:
-            raise _damaged_folder_error(folder, problem) from None
+            raise damaged_folder_error(folder, problem) from None
         self.folder = folder
         self._cache: dict[str, list[tuple[Any, ...]]] = {}
 
@@ -177,11 +182,11 @@ class CampaignStatistics:
 
     def _summary(self) -> Table:
         """Table `summary.csv`: all statistics for each cell (combination of factor levels) and method."""
-        table = summary_table({factor.name: factor.kind for factor in self.factors})
-        quantiles = table.header[-len(QUANTILE_LEVELS) :]
-        entries = (entry for column in self._summarised_columns() for entry in self.statistic_summaries(column))
-        summary_rows = self.with_factor_levels(entries)
-        return table.with_rows(row | dict(zip(quantiles, row["quantiles"], strict=True)) for row in summary_rows)
+        return summary_rows(self, (entry for _, entries in self.summaries_by_column() for entry in entries))
+
+    def summaries_by_column(self) -> Iterator[tuple[str, list[StatisticSummary]]]:
+        """Name and statistics of each column of the summary, computed one after the other."""
+        return ((column, self.statistic_summaries(column)) for column in self._summarised_columns())
 
     def _summarised_columns(self) -> list[str]:
         """Names of the columns and ratios in the summary: all except those of single parameters."""
@@ -190,7 +195,7 @@ class CampaignStatistics:
 
     def _rows(self) -> ColumnValues:
         """All rows as columns, ordered by cell (combination of factor levels), method and trial."""
-        with _interruptible():
+        with interruptible_query():
             rows = self._database.execute("SELECT * FROM rows ORDER BY cell, method, trial")
             names = [column[0] for column in rows.description]
             return dict(zip(names, zip(*rows.fetchall(), strict=True), strict=True))
@@ -212,10 +217,10 @@ class CampaignStatistics:
             If a file of rows is damaged.
         """
         try:
-            with _interruptible():
+            with interruptible_query():
                 return self._database.execute(sql).fetchall()
         except (duckdb.IOException, duckdb.InvalidInputException) as problem:
-            raise _damaged_folder_error(self.folder, problem) from None
+            raise damaged_folder_error(self.folder, problem) from None
         except duckdb.Error as problem:
             raise ModelError(f"the query failed: {' '.join(str(problem).split())}") from None
 
@@ -252,7 +257,7 @@ class CampaignStatistics:
         for cell, method, count, mean, deviation, low, high, quantiles in self._query_each_cell(
             select_list, f"isfinite({name})"
         ):
-            half = self.half_width_of_interval(count, _nan_if_none(deviation))
+            half = self.half_width_of_interval(count, nan_if_none(deviation))
             summaries.append(
                 unchecked_entry(
                     StatisticSummary,
@@ -263,7 +268,7 @@ class CampaignStatistics:
                     mean=mean,
                     low=mean - half,
                     high=mean + half,
-                    standard_deviation=_nan_if_none(deviation),
+                    standard_deviation=nan_if_none(deviation),
                     minimum=low,
                     maximum=high,
                     quantiles=tuple(quantiles),
@@ -298,7 +303,7 @@ class CampaignStatistics:
         ):
             value = half = math.nan
             if below > 0:
-                value, (aa, ab, bb) = above / below, map(_nan_if_none, moments)
+                value, (aa, ab, bb) = above / below, map(nan_if_none, moments)
                 half = self.half_width_of_interval(
                     count, math.sqrt(max(aa - 2 * value * ab + value**2 * bb, 0.0)) / below
                 )
@@ -332,15 +337,30 @@ class CampaignStatistics:
 
         There is one summary for each cell (combination of factor levels) and method.
         """
-        summaries = []
+        return [*self.iterate_z_score_summaries()]
+
+    def iterate_z_score_summaries(self) -> Iterator[ZScoreSummary]:
+        """Summaries of the z-scores in the order of `z_score_summaries`, computed for blocks of cells.
+
+        A cell is a combination of factor levels. Rows that are read from their files for each query are queried once.
+        """
+        n_cells = len(self.levels)
+        step = MAX_Z_SCORE_BLOCK_CELLS if self._has_copied_rows else n_cells
+        for first in range(0, n_cells, step):
+            is_in_block = f" AND cell BETWEEN {first} AND {first + step - 1}" if step < n_cells else ""
+            yield from sorted(self._z_scores_of_columns(is_in_block), key=lambda s: (s.cell, s.method))
+
+    def _z_scores_of_columns(self, further_condition: str) -> Iterator[ZScoreSummary]:
+        """Summaries of the z-scores, column by column, of the rows that satisfy an SQL condition (` AND ...`)."""
         for column in (c for c in self.columns if c.startswith("z:")):
             name, parameter = self._sql_column(column), column.removeprefix("z:")
             what = f"count({name}), avg({name}), stddev_samp({name}), avg((abs({name}) <= {NORMAL_QUANTILE_95})::INT)"
-            for cell, method, count, mean, deviation, coverage in self._query_each_cell(what, f"isfinite({name})"):
-                values = {"mean": mean, "standard_deviation": _nan_if_none(deviation), "coverage_95": coverage}
+            for cell, method, count, mean, deviation, coverage in self._query_each_cell(
+                what, f"isfinite({name}){further_condition}"
+            ):
+                values = {"mean": mean, "standard_deviation": nan_if_none(deviation), "coverage_95": coverage}
                 place = {"cell": cell, "method": method, "parameter": parameter}
-                summaries.append(unchecked_entry(ZScoreSummary, **place, trials=count, **values))
-        return sorted(summaries, key=lambda s: (s.cell, s.method))
+                yield unchecked_entry(ZScoreSummary, **place, trials=count, **values)
 
     def solver_comparisons(self) -> list[SolverComparison]:
         """Numbers of trials by solver, and largest difference between the solvers.
@@ -355,7 +375,12 @@ class CampaignStatistics:
 
     def summary(self) -> CampaignSummary:
         """Statistics of all columns, for each cell (combination of factor levels) and method."""
-        columns_used = self._summarised_columns()
+        columns = tuple(entry for _, entries in self.summaries_by_column() for entry in entries)
+        entries = {"columns": columns, "z_scores": tuple(self.z_score_summaries())}
+        return self.summary_without_entries().model_copy(update=entries)
+
+    def summary_without_entries(self) -> CampaignSummary:
+        """Summary of the campaign whose lists `columns` and `z_scores` are empty."""
         cells = zip(self.manifest.cells, self.levels, strict=True)
         return CampaignSummary(
             title=self.manifest.title,
@@ -363,30 +388,7 @@ class CampaignStatistics:
             factors=tuple(self.factors),
             cells=tuple(cell.model_copy(update={"levels": levels}) for cell, levels in cells),
             solver_comparisons=tuple(self.solver_comparisons()),
-            meanings={c: described.meaning for c in columns_used if (described := find_result_column(c))},
-            columns=tuple(entry for column in columns_used for entry in self.statistic_summaries(column)),
-            z_scores=tuple(self.z_score_summaries()),
+            meanings={c: d.meaning for c in self._summarised_columns() if (d := find_result_column(c))},
+            columns=(),
+            z_scores=(),
         )
-
-
-@contextmanager
-def _interruptible() -> Iterator[None]:
-    """Context in which an interrupted query raises KeyboardInterrupt instead of DuckDB's RuntimeError."""
-    try:
-        yield
-    except RuntimeError as problem:
-        if str(problem) != "Query interrupted":
-            raise
-        raise KeyboardInterrupt from None
-
-
-def _nan_if_none(value: float | None) -> float:
-    """Number, or NaN in place of None."""
-    return math.nan if value is None else float(value)
-
-
-def _damaged_folder_error(folder: Path, problem: Exception) -> InputError:
-    """InputError for a file of rows that cannot be read, with the reason and the repair."""
-    reason = safe_excerpt(str(problem).split("\n")[0], 200)
-    repair = f"Run the campaign again with {option_text('resume=True')} to repair the folder"
-    return InputError(f"{folder}: a file of rows (shard) cannot be read: {reason}. {repair}")

@@ -169,6 +169,21 @@ class CampaignFolder:
         except RecordError as problem:
             raise InputError(f"{problem}; start again in another folder; the rows in this folder are kept") from None
 
+    def manifest_to_continue(self, *, resume: bool) -> ManifestFile:
+        """Manifest of the campaign; InputError if the campaign cannot be continued, or `resume` is false."""
+        if not resume:
+            raise InputError(
+                f"{self.folder}: holds a campaign; continue it with {option_text('resume=True')}, "
+                f"name another {option_text('out')}, or start again with {option_text('force=True')}"
+            )
+        manifest = self.manifest()
+        if not all(cell.digest for cell in manifest.cells):
+            raise InputError(
+                f"{self.folder}: the campaign was started by an earlier version of ltsim; start again with another "
+                f"{option_text('out')}, or with {option_text('force=True')}"
+            )
+        return manifest
+
     def write_manifest(self, manifest: ManifestFile, input_files: Mapping[str, bytes]) -> None:
         """Writing of the campaign's input files (contents by name), then of its manifest; old files are replaced."""
         with self._storage_errors():

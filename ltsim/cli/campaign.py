@@ -127,8 +127,10 @@ def campaign(
     # Slow imports, which no other command should wait for.
     from ltsim.campaigns.campaign import WorkerSettings, run_campaign
     from ltsim.campaigns.results import CampaignResults
+    from ltsim.campaigns.schema import SUMMARY_FILE_NAME
     from ltsim.campaigns.spec import load_campaign
     from ltsim.campaigns.store import CampaignFolder
+    from ltsim.campaigns.summary_output import summary_csv_text, summary_json_parts
     from ltsim.campaigns.verbs import rows_folder
 
     workers = WorkerSettings(options.jobs, options.backend, options.scheduler)
@@ -155,19 +157,19 @@ def campaign(
         raise UserInterruptError(
             f"{n_finished_files} files with results of finished trials remain in {folder}; continue with --resume"
         ) from None
+    del settings, scenarios, loaded  # the statistics need their memory
     results = CampaignResults(folder)
-    write_text(folder / "summary.csv", results.table("summary").csv_text())
+    write_text(folder / SUMMARY_FILE_NAME, summary_csv_text(results))
     for note in outcome.notes:
         terminal.print_note(note)
-    if terminal.as_json:  # the summary of thousands of cells takes 100 MB
-        terminal.print_json(results.summary().model_dump(mode="json"))
+    terminal.print_json_parts(summary_json_parts(results))
     existing_text = f", {outcome.n_existing_shards} existed already" if outcome.n_existing_shards else ""
     terminal.print_text(f"{outcome.n_computed_shards} files of rows written to {folder}{existing_text}\n")
     if not terminal.is_silent:
-        from ltsim.reports.sections.campaign import campaign_section  # after the trials: takes 30 MB
+        from ltsim.reports.sections.campaign import section_of_results  # after the trials: takes 30 MB
 
-        terminal.print_text(campaign_section(folder).terminal_text())
-        terminal.print_text(f"\nall statistics: {folder / 'summary.csv'}; a page: ltsim report {folder}")
+        terminal.print_text(section_of_results(results).terminal_text())
+        terminal.print_text(f"\nall statistics: {folder / SUMMARY_FILE_NAME}; a page: ltsim report {folder}")
     failures = [
         solver_difference_sentence(e, results)
         for e in results.solver_comparisons()

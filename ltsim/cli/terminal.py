@@ -167,6 +167,14 @@ class Terminal:
         if self.as_json:
             write_line(json.dumps(content, indent=1, allow_nan=False), sys.stdout)
 
+    def print_json_parts(self, parts: Iterable[str]) -> None:
+        """Output of the parts of a long JSON text as they are made, if `--json` is given."""
+        if self.as_json:
+            with _discard_if_unwritable(sys.stdout):
+                for part in parts:
+                    print(as_printable(part), end="", file=sys.stdout)
+                print(file=sys.stdout)
+
     @contextmanager
     def show_progress(self, task_text: str, n_steps: int | None = None) -> Iterator[Callable[[int], None]]:
         """Progress bar on a terminal, or occasional lines in a pipe; yields a function that counts finished steps.

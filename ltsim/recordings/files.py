@@ -51,7 +51,7 @@ def read_bytes(path: Path, max_bytes: int = MAX_FILE_BYTES) -> bytes:
         raise RecordError(f"cannot be read ({reason})", file=path) from None
     if len(content) > max_bytes:
         raise RecordError(f"is larger than {max_bytes // BYTES_PER_MIB} MiB, the limit for reading", file=path)
-    if not content.strip():
+    if not content or content.isspace():
         raise RecordError("is empty", file=path)
     return content
 

@@ -152,12 +152,14 @@ class ResultFile(Entry, Result):
     """Base model of results: the object that a public function returns, which is also the content of its JSON file.
 
     Subclasses set `FILE`, the name of the file, and `format`; `MAX_TEXTS` is the largest number of texts, lists and
-    objects together in a file that is read. Arrays that the file does not contain are in private attributes, which the
-    comparison of results ignores.
+    objects together in a file that is read. If `SHARES_EQUAL_OBJECTS` is true, equal objects of a file are read as the
+    same dictionary. Arrays that the file does not contain are in private attributes, which the comparison of results
+    ignores.
     """
 
     FILE: ClassVar[str]
     MAX_TEXTS: ClassVar[int] = MAX_RESULT_TEXTS
+    SHARES_EQUAL_OBJECTS: ClassVar[bool] = False
     format: str
     """Format and version of the file, such as `ltsim-calibration/1`."""
     recording: ResultSource | None = None
@@ -230,7 +232,7 @@ def write_result(folder: Path, result: ResultFileType, companions: Mapping[str, 
 def read_result(path: Path, model: type[ResultFileType]) -> ResultFileType:
     """Result from its JSON file, or from the folder with this file, validated by its `model`; raises RecordError."""
     file = path / model.FILE if path.is_dir() else path
-    content = read_json(file, model.FILE)
+    content = read_json(file, model.FILE, shares_equal_objects=model.SHARES_EQUAL_OBJECTS)
     version = content.get("format")
     expected = model.model_fields["format"].default
     if version != expected:
@@ -273,10 +275,11 @@ def _require_bounded_content(content: Mapping[str, Any], max_texts: int, file: P
         raise RecordError(f"has texts of {n_characters} characters, expected at most {most} together", file=file)
 
 
-def read_json(file: Path, kind: str) -> dict[str, Any]:
+def read_json(file: Path, kind: str, *, shares_equal_objects: bool = False) -> dict[str, Any]:
     """Content of a JSON file with an object, as a dictionary; `kind` is the expected content, for errors.
 
-    Raises RecordError for other content, for too many values, and for a number beyond `MAX_RESULT_MAGNITUDE`.
+    With `shares_equal_objects`, equal objects in the file become the same dictionary, which must not be changed. Raises
+    RecordError for other content, for too many values, and for a number beyond `MAX_RESULT_MAGNITUDE`.
     """
 
     def checked_number(text: str, number_type: Callable[[str], float]) -> float:
@@ -287,17 +290,42 @@ def read_json(file: Path, kind: str) -> dict[str, Any]:
             raise RecordError(f"contains the number {safe_excerpt(text)}, expected {permitted}", file=file)
         return value
 
+    object_by_digest: dict[bytes, dict[str, Any]] = {}
+
+    def shared_object(value: dict[str, Any]) -> dict[str, Any]:
+        """First object of the file that equals `value`."""
+        return object_by_digest.setdefault(hashlib.sha256(repr(_comparison_key(value)).encode()).digest(), value)
+
     parse_decimal, parse_integer = (partial(checked_number, number_type=number_type) for number_type in (float, int))
     text = read_text(file)
     if text.count(",") + text.count("[") + text.count("{") > MAX_JSON_VALUES:
         raise RecordError(f"contains more than {MAX_JSON_VALUES} values, the limit for reading", file=file)
     try:
-        content = json.loads(text, parse_float=parse_decimal, parse_constant=parse_decimal, parse_int=parse_integer)
+        content = json.loads(
+            text,
+            object_hook=shared_object if shares_equal_objects else None,
+            parse_float=parse_decimal,
+            parse_constant=parse_decimal,
+            parse_int=parse_integer,
+        )
     except (json.JSONDecodeError, RecursionError):
         raise RecordError(f"is not JSON; expected a {kind}", file=file) from None
     if not isinstance(content, dict):
         raise RecordError(f"contains no JSON object; expected a {kind}", file=file)
     return content
+
+
+def _comparison_key(value: Any) -> Any:
+    """Key of a JSON value that equal values have in common, if equal objects in it are the same dictionary.
+
+    Numbers of different types or signs of zero are different. The work is proportional to the size of `value` without
+    the objects in it.
+    """
+    if isinstance(value, dict):
+        return [(name, id(part) if isinstance(part, dict) else _comparison_key(part)) for name, part in value.items()]
+    if isinstance(value, list):
+        return [("object", id(part)) if isinstance(part, dict) else _comparison_key(part) for part in value]
+    return ascii(value)
 
 
 def companion_path(folder: Path, name: str, result: ResultFile) -> Path | None:

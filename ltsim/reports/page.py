@@ -233,6 +233,8 @@ def _page_parts_with_sections(page_parts: list[PagePart], page_folder: Path) -> 
 
 def _recording_digest(page_part: PagePart) -> str:
     """Digest of the recording from which the result of a page part was computed; empty if the result contains none."""
+    if page_part.result_file == CAMPAIGN_MANIFEST_FILE_NAME:  # has no recording, and up to 32 MiB
+        return ""
     try:
         if page_part.result_file == OBSERVATIONS_FILE:
             return recording_digest(read(page_part.folder))

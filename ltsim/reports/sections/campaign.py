@@ -17,11 +17,11 @@ from ltsim.campaigns.schema import (
     MEANS_BY_FACTOR_LEVEL_TABLE,
     RATIO_STATISTICS,
     SUMMARY_FILE_NAME,
-    ManifestFile,
     error_columns_of_ratio,
     find_result_column,
 )
-from ltsim.campaigns.summary import SolverComparison, StatisticSummary, ZScoreSummary
+from ltsim.campaigns.summary import SolverComparison, StatisticSummary
+from ltsim.campaigns.summary_output import SummariesByColumn, first_summary_rows
 from ltsim.core.notation import number_text
 from ltsim.core.results import Table as TableOf
 from ltsim.reports.document_model import (
@@ -91,10 +91,13 @@ def campaign_section(folder: Path) -> Section:
     InputError
         If the folder contains no finished shard (file of rows), or a damaged one.
     """
-    results = CampaignResults(folder)
-    manifest = results.manifest
-    summaries = {name: results.statistic_summaries(name) for name in results.columns if ":" not in name}
-    z_scores, comparisons = results.z_score_summaries(), results.solver_comparisons()
+    return section_of_results(CampaignResults(folder))
+
+
+def section_of_results(results: CampaignResults) -> Section:
+    """Section of the results of a campaign."""
+    manifest, comparisons = results.manifest, results.solver_comparisons()
+    summaries = SummariesByColumn(results)
     published_values = PUBLISHED_CRITERIA_BY_SCENARIO.get(str(manifest.settings.get("scenario", "")), {})
     distribution_blocks = _distribution_figures(results, published_values)
     open_blocks = [
@@ -106,7 +109,7 @@ def campaign_section(folder: Path) -> Section:
     open_blocks[1:1] = _errors_before_and_after_tables(results, summaries)
     open_blocks[:0] = comparison.blocks() if comparison else []
     blocks: list[Block] = [*open_blocks, *(b for b in distribution_blocks if b not in open_blocks)]
-    blocks += [*coverage_blocks(results, z_scores), *_statistic_tables(results, summaries, comparisons)]
+    blocks += [*coverage_blocks(results), *_statistic_tables(results, comparisons)]
     blocks.append(CodeBlock("Campaign file as JSON", json.dumps(manifest.settings, indent=1)))
     scenarios = [scenario.model_dump(mode="json") for scenario in manifest.scenarios[:MAX_SHOWN_SCENARIOS]]
     which = f"first {MAX_SHOWN_SCENARIOS} " if len(manifest.scenarios) > MAX_SHOWN_SCENARIOS else ""
@@ -122,7 +125,7 @@ def campaign_section(folder: Path) -> Section:
             ]
         ),
         assessment=assessment_of(not sum(comparison.failed_trials for comparison in comparisons)),
-        key_figures=_key_figures(manifest, comparisons, z_scores),
+        key_figures=_key_figures(results, comparisons),
         blocks=blocks,
         seed_text=str(manifest.seed),
         package_versions=versions,
@@ -187,10 +190,9 @@ def _enumeration_text(texts: Sequence[str]) -> str:
     return " and ".join(filter(None, [", ".join(texts[:-1]), *texts[-1:]]))
 
 
-def _key_figures(
-    manifest: ManifestFile, comparisons: Sequence[SolverComparison], z_scores: Sequence[ZScoreSummary]
-) -> list[KeyFigure]:
+def _key_figures(results: CampaignResults, comparisons: Sequence[SolverComparison]) -> list[KeyFigure]:
     """Key figures of a campaign: trials, combinations of factor levels, methods, failures, solvers, coverage."""
+    manifest = results.manifest
     failed = sum(comparison.failed_trials for comparison in comparisons)
     differences = [
         comparison.largest_difference_sigma
@@ -211,7 +213,7 @@ def _key_figures(
                 assessment_of(max(differences) < 1e-3),
             )
         )
-    return facts + coverage_key_figures(manifest, z_scores)
+    return facts + coverage_key_figures(results)
 
 
 def _varying_factors_tables(results: CampaignResults) -> list[Block]:
@@ -236,8 +238,8 @@ def _means_by_level_tables(
         return []
     means_by_level: dict[tuple[str, ...], list[float]] = {}
     for factor in sorted(varying_factors(results), key=lambda f: len(set(levels_of_cells(results, f)))):
-        for name in filter(summaries.get, STATISTIC_TITLE_BY_COLUMN):
-            for s in summaries[name]:
+        for name in STATISTIC_TITLE_BY_COLUMN:
+            for s in summaries.get(name, []):
                 key = factor_axis_title(factor), factor.level_text(results.levels[s.cell][factor.name]), s.method, name
                 means_by_level.setdefault(key, []).append(s.mean)
     table_rows = [[*key, sum(m) / len(m), min(m), max(m)] for key, m in means_by_level.items()]
@@ -333,15 +335,10 @@ def _errors_before_and_after_tables(
     names = cell_descriptions(results)
     blocks: list[Block] = []
     for share in RATIO_STATISTICS:
-        entries = [summaries.get(name, []) for name in (*error_columns_of_ratio(share), share)]
-        rows = [
-            [
-                names[row_summaries[0].cell],
-                row_summaries[0].method,
-                *(_mean_interval_text(s, "") for s in row_summaries),
-            ]
-            for row_summaries in zip(*entries, strict=all(entries))
-        ]
+        columns = (*error_columns_of_ratio(share), share)
+        texts = [[_mean_interval_text(s, "") for s in summaries.get(name, [])] for name in columns]
+        places = [(names[s.cell], s.method) for s in summaries.get(share, [])]
+        rows = [[*place, *cells] for place, *cells in zip(places, *texts, strict=all(texts))]
         point_kind = "new point" if share.startswith("new_point") else "point"
         note = f"Raw: {_column_meaning(error_columns_of_ratio(share)[0])}. Share removed: {_column_meaning(share)}. "
         note += "Noise floor: error after correction with the true parameters. In brackets: 95 % interval."
@@ -355,13 +352,9 @@ def _column_meaning(column: str) -> str:
     return capitalised_sentence("" if declared is None else declared.meaning.replace("`", "")).removesuffix(".")
 
 
-def _statistic_tables(
-    results: CampaignResults, summaries: Mapping[str, list[StatisticSummary]], comparisons: Sequence[SolverComparison]
-) -> list[Block]:
+def _statistic_tables(results: CampaignResults, comparisons: Sequence[SolverComparison]) -> list[Block]:
     """Tables of all results with their definitions, and table of the convergence of the trials."""
-    cells = results.table("summary")
-    n_rows = len(cells.rows)
-    cells = replace(cells, rows=cells.rows[:MAX_SHOWN_STATISTIC_ROWS])
+    cells, n_rows = first_summary_rows(results, MAX_SHOWN_STATISTIC_ROWS)
     extra_fields = {
         "cell",
         "standard_deviation",
@@ -372,7 +365,9 @@ def _statistic_tables(
     shown_table = _table_with_levels_as_in_file(
         results, cells.select_columns(" ".join(name for name in cells.header if name not in extra_fields))
     )
-    definitions = [f"{_column_label(c)} [{results.units.get(c, '')}]: {_column_meaning(c)}" for c in summaries]
+    definitions = [
+        f"{_column_label(c)} [{results.units.get(c, '')}]: {_column_meaning(c)}" for c in SummariesByColumn(results)
+    ]
     note = (
         "Verified trials were calibrated again one by one with lt.calibrate (full solver); the difference is between "
         "the estimates of both solvers."

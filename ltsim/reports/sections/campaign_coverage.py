@@ -7,7 +7,6 @@ from functools import partial
 
 from ltsim.campaigns.columns import columns_from_rows
 from ltsim.campaigns.results import CampaignResults
-from ltsim.campaigns.schema import ManifestFile
 from ltsim.campaigns.summary import ZScoreSummary
 from ltsim.core.results import Table
 from ltsim.reports.document_model import Block, KeyFigure, PictureBlock, table_blocks
@@ -23,53 +22,54 @@ NOISE_ERROR_PRIOR_FACTOR_KEYS = ("noise_factor", "error_factor", "prior_factor")
 other than 1 the recording declares wrong noise or a wrong prior."""
 
 
-def coverage_key_figures(manifest: ManifestFile, z_scores: Sequence[ZScoreSummary]) -> list[KeyFigure]:
+def coverage_key_figures(results: CampaignResults) -> list[KeyFigure]:
     """Coverage of the 95 % intervals, one key figure for each combination of values of `NOISE_ERROR_PRIOR_FACTOR_KEYS`.
 
     The coverage is expected to be 95 % only where all of these factors are 1.
     """
+    manifest = results.manifest
     trackers = {entry.cell: s.instrument for entry, s in zip(manifest.cells, manifest.scenarios, strict=False)}
-    scores_by_kind: dict[str, list[ZScoreSummary]] = {}
-    for summary in z_scores:
+    coverages_by_kind: dict[str, list[tuple[float, int]]] = {}
+    for summary in results.iterate_z_score_summaries():
         factors = {name: getattr(trackers.get(summary.cell), name, 1.0) for name in NOISE_ERROR_PRIOR_FACTOR_KEYS}
         text = ", ".join(f"{name.replace('_', ' ')} {value:g}" for name, value in factors.items() if value != 1.0)
-        scores_by_kind.setdefault(text, []).append(summary)
+        coverages_by_kind.setdefault(text, []).append((summary.coverage_95, summary.trials))
     facts = []
-    for text, summaries in sorted(scores_by_kind.items(), key=lambda group: group[0]):
-        shares, n_intervals = [s.coverage_95 for s in summaries], sum(s.trials for s in summaries)
-        mean_share = sum(s.coverage_95 * s.trials for s in summaries) / n_intervals
+    for text, coverages in sorted(coverages_by_kind.items(), key=lambda group: group[0]):
+        shares, n_intervals = [share for share, _ in coverages], sum(trials for _, trials in coverages)
+        mean_share = sum(share * trials for share, trials in coverages) / n_intervals
         range_text = f"; for single parameters and cells {100 * min(shares):.1f} to {100 * max(shares):.1f} %"
-        value = f"{100 * mean_share:.1f} % of {n_intervals} intervals" + (range_text if len(summaries) > 1 else "")
+        value = f"{100 * mean_share:.1f} % of {n_intervals} intervals" + (range_text if len(coverages) > 1 else "")
         facts.append(KeyFigure("coverage of 95 % intervals" + (f" with {text} (not declared)" if text else ""), value))
     return facts
 
 
-def coverage_blocks(results: CampaignResults, z_scores: Sequence[ZScoreSummary]) -> list[Block]:
-    """Figures of the coverage of intervals by calibration method, in the first cell, and table of all z-scores.
+def coverage_blocks(results: CampaignResults) -> list[Block]:
+    """Figures of the coverage of intervals by calibration method, in the first cell, and table of z-scores.
 
     A cell is a combination of factor levels.
     """
+    first_scores: list[ZScoreSummary] = []
+    first_cell_scores_by_method: dict[str, list[ZScoreSummary]] = {}
+    for summary in results.iterate_z_score_summaries():
+        scores = first_cell_scores_by_method.setdefault(summary.method, [])
+        if not scores or summary.cell == scores[0].cell:
+            scores.append(summary)
+        if len(first_scores) < MAX_SHOWN_Z_SCORES:
+            first_scores.append(summary)
+    if not first_scores:
+        return []
     blocks: list[Block] = []
-    for method in dict.fromkeys(s.method for s in z_scores):
-        method_scores = [s for s in z_scores if s.method == method]
-        rows = [s for s in method_scores if s.cell == method_scores[0].cell and s.trials > 1]
+    for method, scores in first_cell_scores_by_method.items():
+        rows = [s for s in scores if s.trials > 1]
         if rows and len(blocks) < MAX_COVERAGE_FIGURES:
-            cell_text = f", {cell_descriptions(results)[method_scores[0].cell]}" if len(results.levels) > 1 else ""
+            cell_text = f", {cell_descriptions(results)[scores[0].cell]}" if len(results.levels) > 1 else ""
             blocks.append(
                 PictureBlock(f"Coverage: {method}{cell_text}", partial(coverage_figure, rows), coverage_sentence(rows))
             )
     text = "z: (estimate - true value) / declared sigma; correct sigmas give mean 0 and standard deviation 1."
-    return (
-        [*blocks, *table_blocks("z-scores of the parameters", _first_z_scores(results, z_scores), note=text)]
-        if z_scores
-        else []
-    )
-
-
-def _first_z_scores(results: CampaignResults, z_scores: Sequence[ZScoreSummary]) -> Table:
-    """Table of the first `MAX_SHOWN_Z_SCORES` summaries of z-scores, with the factor levels of their cells."""
-    rows = results.with_factor_levels(z_scores[:MAX_SHOWN_Z_SCORES])
-    return Table.from_columns("z_scores", columns_from_rows(rows))
+    table = Table.from_columns("z_scores", columns_from_rows(results.with_factor_levels(first_scores)))
+    return [*blocks, *table_blocks("z-scores of the parameters", table, note=text)]
 
 
 def coverage_sentence(z_scores: Sequence[ZScoreSummary]) -> str:
