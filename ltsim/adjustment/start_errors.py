@@ -108,8 +108,9 @@ def _separate_parts_sentence(
     return (
         f"the network has {n_parts} separate parts: {detached_text} measured no point that stations "
         f"{stations_text(reached_parts)} measured or stand over, therefore the positions and directions of the parts "
-        "relative to each other are undetermined; measure common targets (three, or two between levelled stations), "
-        "give points of all parts the same names, or adjust each part as a separate recording"
+        "relative to each other are undetermined; measure common targets, or give reference coordinates in each part "
+        "(three, or two between levelled stations), check that a point has the same name in all parts, or adjust each "
+        "part as a separate recording"
     )
 
 

@@ -9,6 +9,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment import adjust
+from ltsim.adjustment.axes import with_control_points
 from ltsim.adjustment.identification.recommendations import recommendations_for_causes
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError
@@ -163,3 +164,21 @@ def test_a_traverse_without_backsights_names_the_undetermined_direction(tmp_path
     message = "station T1 stands over a point with coordinates, .*direction of its horizontal circle is undetermined"
     with pytest.raises(NetworkError, match=f"{message}.*T2, T3, T4 cannot be located; measure a backsight"):
         adjust(read(file))
+
+
+def test_a_part_with_one_reference_point_names_its_undetermined_rotation(tmp_path: Path) -> None:
+    """Earlier: the observations with their declared noise do not determine all unknowns."""
+    legs = [(i, j) for part in ((0, 1, 2), (3, 4, 5)) for i in part for j in part if i != j]
+    recording = read(spatial_traverse(tmp_path / "a.csv", legs))
+    angle = np.linspace(0.0, 2 * np.pi, 7, endpoint=False)
+    lines = [
+        f"T{i},{200e3 * np.cos(angle[i]):.3f},{150e3 * np.sin(angle[i]):.3f},{3e3 * np.sin(3 * angle[i]):.3f},1"
+        for i in (0, 1, 4)
+    ]
+    (tmp_path / "control.csv").write_text("\n".join(["target,x_mm,y_mm,z_mm,sigma_mm", *lines]) + "\n")
+    recording = with_control_points(recording, tmp_path / "control.csv")
+    flat = {"curved": False, "refraction": None}  # on a round earth, plumb lines of levels would tell the direction
+    recording = recording.replace(setup=recording.setup.model_copy(update=flat))
+    says = r"the positions of T5, T3 \(they can rotate together about a vertical axis through T4\) .*set-up T4"
+    with pytest.raises(NetworkError, match=says):
+        lt.adjust(recording)
