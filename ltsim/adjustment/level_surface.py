@@ -1,40 +1,60 @@
 """Declared coordinates whose heights are above a level surface, such as levelled heights, in a Cartesian network."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.significance import MIN_LOG_EVIDENCE_CERTAIN
 from ltsim.core.arrays import Floats
+from ltsim.core.errors import NetworkError
 from ltsim.core.units import EARTH_RADIUS, MILLIMETRE
+from ltsim.geometry.rigid import align_robustly
 
 N_PLANE_COEFFICIENTS = 3
 """Number of coefficients of a plane, which a shift and two rotations of the axes fit to the heights."""
 
 
-def levelled_heights_text(adjustment: Adjustment) -> str:
-    """Clause on heights above a level surface among the coordinates that define the axes, with advice; or empty.
+def levelled_heights_notes(
+    adjustment: Adjustment, points_by_target: Mapping[str, Floats], source_text: str
+) -> list[str]:
+    """Note, in a list, on heights above a level surface in declared coordinates, with advice; otherwise empty.
 
     A level surface departs from its tangent plane by d^2 / (2 R) at the horizontal distance d from the point of
     contact, with the radius R of the earth. The heights are levelled if this departure explains the differences between
     declared and adjusted heights.
+
+    Parameters
+    ----------
+    adjustment : Adjustment
+        Adjustment of the network without the declared coordinates.
+    points_by_target : mapping of str to (3,) float, [m]
+        Declared coordinates of measured targets.
+    source_text : str
+        Name of their file.
     """
-    tests = [test for test in adjustment.axes_point_tests if len(test.residual) == len("xyz")]
-    if len(tests) <= N_PLANE_COEFFICIENTS:
-        return ""
-    points = adjustment.state.target_points[[adjustment.recording.targets.index(test.name) for test in tests]]
-    offsets = points[:, :2] - points[:, :2].mean(axis=0)
-    height_residuals = np.array([test.residual[2] for test in tests])
+    names = [name for name in points_by_target if name not in adjustment.undetermined_targets]
+    if len(names) <= N_PLANE_COEFFICIENTS:
+        return []
+    declared_points = np.array([points_by_target[name] for name in names])
+    points = adjustment.state.target_points[[adjustment.recording.targets.index(name) for name in names]]
+    try:
+        turn, shift = align_robustly(points, declared_points)
+    except NetworkError:
+        return []
+    height_residuals = (declared_points - points @ turn.T - shift)[:, 2]
+    offsets = declared_points[:, :2] - declared_points[:, :2].mean(axis=0)
     if not level_surface_log_evidence(offsets, height_residuals) > MIN_LOG_EVIDENCE_CERTAIN:
-        return ""
+        return []
     departures = _level_surface_departures(offsets)
     farthest = int(np.argmax(departures))
-    return (
-        "; its heights are above a level surface (levelled heights), because their differences from the network grow "
-        "with the squared distance d from the centroid of the points, by d^2 / (2 R) with the radius R = "
-        f"{EARTH_RADIUS / 1000:.0f} km of the earth: subtract d^2 / (2 R) from each height of the file ("
-        f"{departures[farthest] / MILLIMETRE:.3g} mm at {tests[farthest].name}), which makes its coordinates Cartesian "
-        "as those of the network"
-    )
+    return [
+        f"the heights in {source_text} are above a level surface (levelled heights), because their differences from "
+        "the network grow with the squared distance d from the centroid of the points, by d^2 / (2 R) with the radius "
+        f"R = {EARTH_RADIUS / 1000:.0f} km of the earth: subtract d^2 / (2 R) from each height of the file ("
+        f"{departures[farthest] / MILLIMETRE:.3g} mm at {names[farthest]}), which makes its coordinates Cartesian as "
+        "those of the network"
+    ]
 
 
 def level_surface_log_evidence(offsets: Floats, height_residuals: Floats) -> float:

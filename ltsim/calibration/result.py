@@ -9,7 +9,6 @@ from ltsim.adjustment.axes import scale_error_of_declared_axes
 from ltsim.adjustment.datum import motions_about_centre
 from ltsim.adjustment.evaluation.criteria import CriteriaEntry, evaluate_criteria
 from ltsim.adjustment.frame import DeclaredFrame
-from ltsim.adjustment.level_surface import levelled_heights_text
 from ltsim.adjustment.reference_tests import ERROR_UNIT_BY_REFERENCE_KIND
 from ltsim.adjustment.remedies.undetermined import (
     ParameterCombination,
@@ -242,20 +241,21 @@ def _axes_notes(adjustment: Adjustment) -> tuple[str, ...]:
     if fitted is None:
         return ()
     within = max(float(np.linalg.norm(test.residual)) for test in accepted_tests) / MILLIMETRE
+    source = adjustment.recording.setup.datum_source
     out = [f"{test.name} ({test.error_text})" for test in adjustment.axes_point_tests if test.is_excluded]
     place, turn = (
         " ".join(f"{v:.2g}" for v in values) for values in (fitted.sigma_position_mm, fitted.sigma_rotation_arcsec)
     )
-    sentence = f"coordinates in the axes of {adjustment.recording.setup.datum_source}: {len(accepted_tests)} targets "
-    sentence += f"fit it within {within:.3g} mm, which leaves the axes uncertain by {place} mm (x y z, at the "
-    sentence += f"centroid) and {turn} arcsec (1 sigma)"
+    sentence = (
+        f"coordinates in the axes of {source}: {len(accepted_tests)} targets fit it within {within:.3g} mm, "
+        f"which leaves the axes uncertain by {place} mm (x y z, at the centroid) and {turn} arcsec (1 sigma)"
+    )
     scale = scale_error_of_declared_axes(adjustment)
     if scale is not None:
         amount = with_sigma(scale[0] / PPM, scale[1] / PPM)
         sentence += f"; the scale of the coordinates differs by {amount} ppm from the measured lengths: check the unit "
         sentence += f"and the temperature of both ({temperature_errors_text(scale[0])})"
-    end = f"; excluded from the datum: {names_text(out)}" if out else ""
-    return (f"{sentence}{levelled_heights_text(adjustment)}{end}",)
+    return (f"{sentence}; excluded from the datum: {names_text(out)}" if out else sentence,)
 
 
 def frame_text(adjustment: Adjustment) -> str:

@@ -9,7 +9,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment import adjust
-from ltsim.adjustment.axes import with_axes_from_points
+from ltsim.adjustment.axes import with_axes_from_points, with_control_points
 from ltsim.adjustment.level_surface import level_surface_log_evidence
 from ltsim.adjustment.significance import MIN_LOG_EVIDENCE_CERTAIN
 from ltsim.core.units import EARTH_RADIUS
@@ -115,14 +115,16 @@ def test_levelled_heights_in_a_frame_are_reported(tmp_path: Path, refraction: fl
         name: place + [0.0, 0.0, np.sum((place - centre)[:2] ** 2) / (2 * EARTH_RADIUS)]
         for name, place in cartesian.items()
     }
-    notes = [
-        next(note for note in adjusted.notes if note.startswith("coordinates in the axes of"))
-        for places in (levelled, cartesian)
-        for adjusted in [lt.adjust(with_axes_from_points(recording, places, "list.csv"))]
-    ]
-    assert "its heights are above a level surface (levelled heights)" in notes[0]
-    assert "subtract d^2 / (2 R) from each height" in notes[0]
-    assert "level surface" not in notes[1]
+    for places, is_reported in ((levelled, True), (cartesian, False)):
+        lines = [f"{name},{','.join(f'{1e3 * x:.3f}' for x in place)},1" for name, place in places.items()]
+        (tmp_path / "list.csv").write_text("\n".join(["target,x_mm,y_mm,z_mm,sigma_mm", *lines]) + "\n")
+        for aligned in (
+            with_axes_from_points(recording, places, "list.csv"),
+            with_control_points(recording, tmp_path / "list.csv"),
+        ):
+            notes = [note for note in aligned.notes if "the heights in list.csv are above a level surface" in note]
+            assert len(notes) == is_reported
+            assert all("subtract d^2 / (2 R) from each height" in note for note in notes)
 
 
 def test_scatter_of_heights_is_no_level_surface() -> None:
