@@ -47,8 +47,7 @@ def require_connected_stations(
     detached_parts = [part for part in dict.fromkeys(station_parts.tolist()) if part not in reached_parts]
     if not is_joined.any():
         raise NetworkError(
-            f"no station can be located: no readings determine the start coordinates; {POSE_ADVICE}"
-            f"{undetermined_lines}"
+            f"no station can be located: no readings determine the start coordinates; {POSE_ADVICE}{undetermined_lines}"
         )
     if detached_parts:
         raise NetworkError(_separate_parts_sentence(recording, station_parts, reached_parts, detached_parts))
