@@ -24,7 +24,7 @@ ROTATION_TITLES = (
 
 
 def titles_of_joints_or_rotations(titles: Sequence[str]) -> list[str]:
-    """Those of `titles` that denote joints (`J1`, `Axis 2`) or a rotation (`Rx`, `roll`); empty for fewer than three.
+    """Titles among `titles` that denote joints (`J1`, `Axis 2`) or a rotation (`Rx`, `roll`); empty for fewer than three.
 
     Units in brackets are ignored.
     """
