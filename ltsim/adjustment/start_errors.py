@@ -40,7 +40,7 @@ def require_connected_stations(
     """
     if is_joined.all():
         return
-    is_located = np.isfinite(points).all(axis=1)
+    is_located = np.asarray(np.isfinite(points).all(axis=1))
     parts = _part_numbers(recording, marks)
     station_parts, target_parts = parts[: len(is_joined)], parts[len(is_joined) :]
     reached_parts = {*station_parts[is_joined].tolist(), *target_parts[is_located].tolist()}

@@ -375,7 +375,8 @@ def _coordinates_from_list(path: Path, *, requires_sigmas: bool) -> EpochCoordin
 
 def _missing_sigmas_sentence(has_sigma: Bools, names: Sequence[str], axes: str, covariance_file: str) -> str:
     """Sentence on missing standard deviations of n points along d axes; `has_sigma` (n, d) flags existing ones."""
-    missing_axes = [axis for axis, has_any in zip(axes, has_sigma.any(axis=0).tolist(), strict=True) if not has_any]
+    has_any_sigma = np.asarray(has_sigma.any(axis=0)).tolist()
+    missing_axes = [axis for axis, has_any in zip(axes, has_any_sigma, strict=True) if not has_any]
     which = "the coordinates"
     if has_sigma.any():
         incomplete = [safe_excerpt(names[i]) for i in np.flatnonzero(~has_sigma.all(axis=1)).tolist()]

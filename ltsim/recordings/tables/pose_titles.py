@@ -24,7 +24,7 @@ ROTATION_TITLES = (
 
 
 def titles_of_joints_or_rotations(titles: Sequence[str]) -> list[str]:
-    """Titles among `titles` that denote joints (`J1`, `Axis 2`) or a rotation (`Rx`, `roll`); empty for fewer than three.
+    """Titles among `titles` that denote joints (`J1`, `Axis 2`) or a rotation (`Rx`, `roll`); empty for fewer than 3.
 
     Units in brackets are ignored.
     """
