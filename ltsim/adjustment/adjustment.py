@@ -24,6 +24,7 @@ from ltsim.adjustment.reliability import (
 from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, MIN_DOF_FOR_ESTIMATED_NOISE
 from ltsim.adjustment.snooping import drop_undetermined_targets, pose_defect_sentence
 from ltsim.adjustment.stochastic_model import VarianceComponent
+from ltsim.adjustment.undetermined_points import undetermined_points_sentence
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.parallel import single_threaded
@@ -179,9 +180,8 @@ class Adjustment(Result):
         """Sentence on why there is no solution (no scale, or collinear common targets); empty for other causes."""
         recording, problem = self.recording, self.problem
         held = problem.control_rows.is_declared_coordinate[:, :2].all(axis=1).sum() + len(problem.control_rows_of_marks)
-        differences = problem.difference_rows.is_declared_coordinate[:, :2].any()
-        lengths = problem.is_used_reading[:, 0].any() or len(problem.gauge_rows) or differences
-        if held < 2 and not lengths:
+        lengths = problem.is_used_reading[:, 0].any() or len(problem.gauge_rows)
+        if held < 2 and not lengths and not problem.difference_rows.is_declared_coordinate[:, :2].any():
             cure = "declare approximate_mm of two datum targets in setup.toml"
             return f"the scale of the network is undetermined: no distance, known length or two known points; {cure}"
         shared = np.zeros((len(recording.stations), len(recording.targets)), dtype=bool)
@@ -191,7 +191,7 @@ class Adjustment(Result):
             if station_targets.sum() > 2 and are_collinear(self.state.target_points[station_targets]):
                 which = f"the {station_targets.sum()} targets that it shares with other stations"
                 return f"station {name}: {which} lie on or near one line; add a common target off this line"
-        return ""
+        return undetermined_points_sentence(problem, self.solution)
 
     @property
     def factorised_normals(self) -> FactorisedNormals:

@@ -14,10 +14,11 @@ from scipy import special
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.frame import alignment_distances
+from ltsim.adjustment.level_surface import levelled_heights_notes
 from ltsim.adjustment.significance import MIN_MISFIT_RATIO, SINGLE_TEST_LEVEL
 from ltsim.adjustment.start import initial_network
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import NetworkError, RecordError, option_text
+from ltsim.core.errors import LtsimError, NetworkError, RecordError, option_text
 from ltsim.core.notation import count_text, names_text
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.rigid import MIN_POINTS_FOR_POSE, align_robustly
@@ -32,6 +33,9 @@ MAX_RELATIVE_POINT_MISCLOSURE = 0.05
 points. Nominal coordinates of a drawing differ less from a network. Declared coordinates whose scale differs from the
 network by more than this fraction are rejected too.
 """
+MIN_LEVELLED_POINTS = 5
+"""Smallest number of control points whose heights are compared with a level surface: a plane through them and the
+curvature leave one of their heights redundant."""
 NO_RESTRICTED_AXES: Mapping[str, Axes] = MappingProxyType({})
 """Default of the axes in which each target defines the datum: an empty mapping, for all three axes of every target."""
 
@@ -56,11 +60,14 @@ def with_axes_from_points(recording: Recording, points_by_target: Mapping[str, F
     network_points = reached[[recording.targets.index(name) for name in common_names]]
     declared_points = np.array([points_by_target[name] for name in common_names])
     _require_same_shape(network_points, declared_points, source_text)
-    if recording.setup.curved:
-        recording = _with_plumb_lines(recording, common_names, declared_points)
     notes = unmeasured_points_notes(
         [name for name in points_by_target if name not in recording.targets], Path(source_text).name
     )
+    if recording.setup.curved:
+        adjustment = adjust(recording)
+        points = {name: points_by_target[name] for name in common_names}
+        notes += levelled_heights_notes(adjustment, points, Path(source_text).name)
+        recording = _with_plumb_lines(recording, adjustment, points)
     recording = recording.replace(notes=(*recording.notes, *notes))
     return _with_datum_points(recording, {name: points_by_target[name] for name in common_names}, source=source_text)
 
@@ -93,16 +100,18 @@ def scale_error_of_declared_axes(adjustment: Adjustment) -> tuple[float, float] 
     return scale, float(np.sqrt(scale_variance))
 
 
-def _with_plumb_lines(recording: Recording, names: Sequence[str], declared_points: Floats) -> Recording:
+def _with_plumb_lines(
+    recording: Recording, adjustment: Adjustment, points_by_target: Mapping[str, Floats]
+) -> Recording:
     """Recording in which the directions of the plumb lines at levelled stations are declared, for a curved earth.
 
-    The directions refer to the axes of the k points `names`, `declared_points` (k, 3) [m], in which z need not be
-    vertical. They are computed from the adjusted network after its alignment to these points.
+    The directions refer to the axes of the declared points `points_by_target` (3,) [m], in which z need not be
+    vertical. They are computed from the `adjustment` of the recording after its alignment to these points.
     """
-    adjustment = adjust(recording)
-    indices = np.array([recording.targets.index(name) for name in names])
-    is_determined = ~np.isin(np.array(names), adjustment.undetermined_targets)
-    turn, _ = align_robustly(adjustment.state.target_points[indices[is_determined]], declared_points[is_determined])
+    names = [name for name in points_by_target if name not in adjustment.undetermined_targets]
+    indices = [recording.targets.index(name) for name in names]
+    declared_points = np.array([points_by_target[name] for name in names])
+    turn, _ = align_robustly(adjustment.state.target_points[indices], declared_points)
     lines = plumb_directions(adjustment.recording) @ turn.T
     stations = dict(recording.setup.stations)
     for name, line in zip(recording.stations, lines.tolist(), strict=True):
@@ -178,8 +187,23 @@ def with_control_points(recording: Recording, path: Path) -> Recording:
         raise RecordError("contains none of the recording's targets; the spelling must be the same", file=path)
     notes = [f"{count_text(count, 'control point')} of {path.name}, each with its standard deviation"]
     notes += unmeasured_points_notes(unmeasured_names, path.name)
+    notes += _levelled_control_notes(recording, listed.coordinates_by_name, path.name)
     setup = recording.setup.model_copy(update={"targets": targets})
     return recording.replace(setup=setup, notes=(*recording.notes, *listed.notes, *notes))
+
+
+def _levelled_control_notes(recording: Recording, points_by_name: Mapping[str, Floats], source_text: str) -> list[str]:
+    """Note, in a list, on heights above a level surface among control points, if the network models a curved earth.
+
+    It is empty if the network without the control points cannot be adjusted.
+    """
+    points = {name: place for name, place in points_by_name.items() if name in recording.targets}
+    if not recording.setup.curved or len(points) < MIN_LEVELLED_POINTS:
+        return []
+    try:
+        return levelled_heights_notes(adjust(recording), points, source_text)
+    except LtsimError:
+        return []
 
 
 def unmeasured_points_notes(names: Sequence[str], source_text: str) -> list[str]:

@@ -83,13 +83,7 @@ class ReferenceTest(ReferenceValue):
     @property
     def is_height_error(self) -> bool:
         """True if the error is significant in the height, but not in the horizontal coordinates."""
-        *plan, height = np.abs(self.error).tolist()
-        small = [
-            max(MIN_CERTAIN_ERROR_SIGMAS * sigma, MAX_HORIZONTAL_TO_VERTICAL_RATIO * height)
-            for sigma in self.error_sigmas[:-1]
-        ]
-        is_significant = height > MIN_CERTAIN_ERROR_SIGMAS * self.error_sigmas[-1]
-        return bool(plan) and is_significant and all(map(float.__lt__, plan, small))
+        return is_in_height_alone(self.error, self.error_sigmas)
 
     @property
     def error_text(self) -> str:
@@ -286,3 +280,17 @@ def length_sigma(vector: Floats, covariance: Floats) -> float:
     """Standard deviation of the length of a `vector` (q,) with the `covariance` (q, q); 0 for the zero vector."""
     length = float(np.linalg.norm(vector))
     return float(np.sqrt(max(float(vector @ covariance @ vector), 0.0))) / length if length else 0.0
+
+
+def is_in_height_alone(error: Floats, error_sigmas: Floats) -> bool:
+    """True if an error (k,) is significant in its last component, the height, but not in the horizontal coordinates.
+
+    `error_sigmas` (k,) are the standard deviations of the k components. Errors of heights alone are no such errors.
+    """
+    *plan, height = np.abs(error).tolist()
+    small = [
+        max(MIN_CERTAIN_ERROR_SIGMAS * sigma, MAX_HORIZONTAL_TO_VERTICAL_RATIO * height)
+        for sigma in error_sigmas[:-1].tolist()
+    ]
+    is_significant = height > MIN_CERTAIN_ERROR_SIGMAS * error_sigmas[-1]
+    return bool(plan) and bool(is_significant) and all(map(float.__lt__, plan, small))

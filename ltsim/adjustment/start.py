@@ -390,10 +390,7 @@ class NetworkInitialiser:
     def result(self, undetermined_lines_text: str = "") -> tuple[tuple[Floats, Floats, Floats], Bools]:
         """Result of `initial_network`; the error for unconnected stations ends with `undetermined_lines_text`."""
         points = self._target_points()
-        nearest = int(np.argmax(np.where(self._is_joined, -1, self._shared_target_counts())))
-        targets = self._pairs.target_indices[self._pairs.pair_slice_of_station(nearest)]
-        shared = points[targets[self._has_coordinates[targets]]]
-        require_connected_stations(self._recording, self._is_joined, shared, undetermined_lines_text)
+        require_connected_stations(self._recording, self._frame.marks, self._is_joined, points, undetermined_lines_text)
         require_located_target(self._recording, self._has_coordinates)
         is_lost = np.asarray(np.isnan(points).any(axis=1))
         points = np.where(is_lost[:, None], points[~is_lost].mean(axis=0), points)

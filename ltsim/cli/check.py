@@ -243,7 +243,9 @@ def compare(
     terminal.check_overwrite(Comparison, DISPLACEMENTS_TABLE.file)
     has_coordinate_lists = is_coordinate_file(source) or is_coordinate_file(second)
     first, later = (
-        _coordinates_or_path(p, terminal) if has_coordinate_lists else reading_options.read_and_report(p, terminal)
+        _coordinates_or_path(p, terminal, requires_sigmas=False)
+        if has_coordinate_lists
+        else reading_options.read_and_report(p, terminal)
         for p in (source, second)
     )
     with terminal.show_progress("comparing"):
@@ -253,16 +255,19 @@ def compare(
     return int(bool(comparison.moved_points))
 
 
-def _coordinates_or_path(path: Path, terminal: Terminal, *, allows_fixed: bool = False) -> EpochCoordinates | Path:
+def _coordinates_or_path(
+    path: Path, terminal: Terminal, *, allows_fixed: bool = False, requires_sigmas: bool = True
+) -> EpochCoordinates | Path:
     """Coordinates read from a list of coordinates, with its notes and size printed; otherwise the path itself.
 
-    With `allows_fixed`, coordinates that define the frame may have the variance 0.
+    With `allows_fixed`, coordinates that define the frame may have the variance 0. Unless `requires_sigmas`, the list
+    may have no standard deviations.
     """
     from ltsim.recordings.coordinates import is_coordinate_file, read_coordinates
 
     if not is_coordinate_file(path):
         return path
-    coordinates = read_coordinates(path, allows_fixed=allows_fixed)
+    coordinates = read_coordinates(path, allows_fixed=allows_fixed, requires_sigmas=requires_sigmas)
     terminal.print_notes(coordinates.notes)
     terminal.print_text(f"{coordinates.title}: {len(coordinates.names)} points along {', '.join(coordinates.axes)}")
     return coordinates

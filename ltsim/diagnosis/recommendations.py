@@ -1,6 +1,9 @@
 """Recommended next action of a user after a finding of a diagnosis."""
 
-from ltsim.adjustment.identification.recommendations import recommendation_at_place
+from ltsim.adjustment.identification.recommendations import (
+    RECOMMENDATION_BY_REFERENCE_KIND,
+    recommendation_at_place,
+)
 from ltsim.core.errors import ModelError
 from ltsim.core.notation import names_text
 from ltsim.diagnosis.schema import Finding
@@ -36,6 +39,9 @@ def inspection_action(finding: Finding) -> str:
     if finding.effect in CAUSE_KIND_BY_EFFECT_NAME and place:
         kind = CAUSE_KIND_BY_EFFECT_NAME[finding.effect]
         return recommendation_at_place(kind, [*trackers, *scope.stations], scope.targets)
+    reference_kind = finding.carrier.removeprefix("reference ")
+    if finding.concerns_reference_value and scope.stations and reference_kind in RECOMMENDATION_BY_REFERENCE_KIND:
+        return RECOMMENDATION_BY_REFERENCE_KIND[reference_kind].format(place=place)
     if finding.concerns_reference_value:
         return f"Check the {finding.carrier} ({place or 'all of them'})."
     covariates_text = f" with {names_text(scope.covariates)}" if scope.covariates else ""

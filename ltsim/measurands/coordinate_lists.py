@@ -34,6 +34,30 @@ def matched_lists(
     return first, second, [*notes, *renamed, *_unmatched_names_notes(first, second)]
 
 
+def with_covariances(
+    first: EpochCoordinates, second: EpochCoordinates
+) -> tuple[EpochCoordinates, EpochCoordinates, list[str]]:
+    """Two lists with covariances, and a note if one of them has none: its coordinates then count as free of errors.
+
+    Raises ModelError if none of the lists has standard deviations.
+    """
+    lists, lacking = [first, second], [i for i, epoch in enumerate((first, second)) if not epoch.has_covariance]
+    if len(lacking) == len(lists):
+        raise ModelError(
+            "the coordinates of both lists have no standard deviations, without which no motion can be tested; add a "
+            "column sigma_mm to one list at least"
+        )
+    notes = []
+    for i in lacking:
+        lists[i] = replace(lists[i], covariance=np.zeros_like(lists[i].covariance))
+        notes.append(
+            f"the {('first', 'second')[i]} list has no standard deviations: its coordinates count as free of errors, "
+            f"and the standard deviations are those of the {('second', 'first')[i]} list alone, so that points may be "
+            "reported as moved that did not move; add a column sigma_mm"
+        )
+    return lists[0], lists[1], notes
+
+
 def _with_axes(epoch: EpochCoordinates, axes: str) -> EpochCoordinates:
     """Epoch with some of its `axes` only."""
     if axes == epoch.axes:

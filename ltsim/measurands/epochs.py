@@ -25,7 +25,7 @@ from ltsim.core.notation import names_text
 from ltsim.core.rounding import SQRT_MACHINE_EPSILON
 from ltsim.geometry.rigid import align_rigidly, rigid_motion_jacobian
 from ltsim.measurands.comparison import Comparison, EpochDifference, congruence_test
-from ltsim.measurands.coordinate_lists import matched_lists
+from ltsim.measurands.coordinate_lists import matched_lists, with_covariances
 from ltsim.measurands.displacement_fit import coordinate_indices
 from ltsim.measurands.inputs import (
     CONTROL_POINTS_SOURCE_NAME,
@@ -74,6 +74,7 @@ def compare_coordinates(
     `stable_names` are points that are certain not to have moved. `with_scale` estimates a scale of the second list.
     `alpha` is the significance level for all points together. Errors are those of `lt.compare`.
     """
+    first, second, covariance_notes = with_covariances(first, second)
     first, second, match_notes = matched_lists(first, second)
     common_names = [name for name in first.names if name in second.names]
     open_ = [np.eye(6) if has_free_motions else free_motions_of_epoch(epoch) for epoch in (first, second)]
@@ -86,7 +87,7 @@ def compare_coordinates(
         for epoch, motions in zip((first, second), open_, strict=True)
     )
     n_open = 0 if has_free_motions else max(motions.shape[1] for motions in open_)
-    notes = [*match_notes, *([undetermined_motions_note(n_open)] if n_open else [])]
+    notes = [*covariance_notes, *match_notes, *([undetermined_motions_note(n_open)] if n_open else [])]
     sources = ResultSource.from_coordinates(first), ResultSource.from_coordinates(second)
     stable_mask = stable_points & (stable_names is not None)
     result = _compare_epochs(
@@ -321,6 +322,8 @@ def free_motions_of_epoch(epoch: EpochCoordinates) -> Floats:
     then gives the motions.
     """
     scale = np.sqrt(np.diag(epoch.covariance))
+    if not scale.any():
+        return np.zeros((6, 0))
     eigenvalues = np.linalg.eigvalsh(epoch.covariance / np.outer(scale, scale))
     defect = int((eigenvalues < SQRT_MACHINE_EPSILON * eigenvalues[-1]).sum())
     if not defect:

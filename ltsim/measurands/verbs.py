@@ -120,7 +120,9 @@ def compare(
     """
     check_argument_bounds(level=level, required_argument="level")
     lists = [
-        coordinates for coordinates in (_load_coordinates(first), _load_coordinates(second)) if coordinates is not None
+        coordinates
+        for source in (first, second)
+        if (coordinates := _load_coordinates(source, requires_sigmas=False)) is not None
     ]
     stable_names = None if stable is None else name_tuple(stable)
     if lists and (same_instrument or robust or not calibrate):
@@ -177,16 +179,17 @@ def compare(
 
 
 def _load_coordinates(
-    source: RecordingSource | EpochCoordinates, *, allows_fixed: bool = False
+    source: RecordingSource | EpochCoordinates, *, allows_fixed: bool = False, requires_sigmas: bool = True
 ) -> EpochCoordinates | None:
     """List of coordinates, read from the file `source` if it is the path of such a list; None for a recording.
 
-    With `allows_fixed`, coordinates that define the frame may have the variance 0.
+    With `allows_fixed`, coordinates that define the frame may have the variance 0. Unless `requires_sigmas`, the list
+    may have no standard deviations.
     """
     if isinstance(source, EpochCoordinates):
         return source
     return (
-        read_coordinates(Path(source), allows_fixed=allows_fixed)
+        read_coordinates(Path(source), allows_fixed=allows_fixed, requires_sigmas=requires_sigmas)
         if isinstance(source, str | Path) and is_coordinate_file(Path(source))
         else None
     )

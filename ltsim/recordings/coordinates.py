@@ -19,10 +19,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ltsim.core.arrays import Floats
+from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import require_small_joint_covariance
-from ltsim.core.notation import escape_cell_text, unescape_cell_text
+from ltsim.core.notation import escape_cell_text, names_text, unescape_cell_text
 from ltsim.core.units import MILLIMETRE, SI_PER_UNIT
 from ltsim.recordings.covariance_file import read_covariance_matrix
 from ltsim.recordings.epoch_coordinates import AXIS_NAMES, EpochCoordinates, without_fixed_points
@@ -274,20 +274,23 @@ def is_coordinate_file(path: Path) -> bool:
     return "<gama-local-adjustment" in beginning if beginning.startswith("<") else is_point_list(beginning)
 
 
-def read_coordinates(path: Path, *, allows_fixed: bool = False) -> EpochCoordinates:
+def read_coordinates(path: Path, *, allows_fixed: bool = False, requires_sigmas: bool = True) -> EpochCoordinates:
     """Coordinates of one epoch with their covariance matrix, from a file or a folder of results; raises RecordError.
 
     With `allows_fixed`, coordinates that define the frame may have the variance 0. Otherwise points with such
-    coordinates alone are left out, with a note.
+    coordinates alone are left out, with a note. Unless `requires_sigmas`, the covariance matrix of a list without any
+    standard deviation is NaN.
     """
     if not path.exists():
         raise RecordError("there is no such file", file=path)
     folder, path = path, _target_list_path(path)
     is_xml = read_file_beginning(path, 256).lstrip().startswith("<")
-    epoch = _coordinates_from_gama(path) if is_xml else _coordinates_from_list(path)
+    epoch = _coordinates_from_gama(path) if is_xml else _coordinates_from_list(path, requires_sigmas=requires_sigmas)
     if len(set(epoch.names)) < len(epoch.names):
         twice = next(name for name in epoch.names if epoch.names.count(name) > 1)
         raise RecordError(f"contains the point '{safe_excerpt(twice)}' twice", file=path)
+    if not epoch.has_covariance:
+        return epoch
     if not allows_fixed:
         epoch = without_fixed_points(epoch)
     sigma = np.sqrt(np.maximum(np.diag(epoch.covariance), 0.0))
@@ -334,8 +337,11 @@ def _parse_number(cell: XmlNode) -> float:
     return cell.location.parse_number(cell.text, f"<{cell.tag}>")
 
 
-def _coordinates_from_list(path: Path) -> EpochCoordinates:
-    """Coordinates in a list of points, with covariances from `NAME.covariance.csv` or from columns of the list."""
+def _coordinates_from_list(path: Path, *, requires_sigmas: bool) -> EpochCoordinates:
+    """Coordinates in a list of points, with covariances from `NAME.covariance.csv` or from columns of the list.
+
+    Unless `requires_sigmas`, the covariance matrix of a list without any standard deviation is NaN.
+    """
     point_list = read_points(path)
     measured = np.isfinite(point_list.points)
     axes = "".join(
@@ -355,14 +361,28 @@ def _coordinates_from_list(path: Path) -> EpochCoordinates:
         )
         return EpochCoordinates(path.stem, point_list.names, axes, points, covariance, point_list.notes)
     blocks = point_list.covariance[:, indices][:, :, indices]
-    if not np.isfinite(blocks).all():
-        message = f"the coordinates have no standard deviations; add {companion.name} or a column sigma_{axes[0]}_mm"
-        raise RecordError(message, file=path)
+    has_sigma = np.asarray(np.isfinite(blocks).all(axis=2))
+    if not has_sigma.all() and (requires_sigmas or has_sigma.any()):
+        raise RecordError(_missing_sigmas_sentence(has_sigma, point_list.names, axes, companion.name), file=path)
     blocks_of_pairs = np.zeros(2 * blocks.shape[:2])
     blocks_of_pairs[range(len(blocks)), :, range(len(blocks))] = blocks
     covariance = blocks_of_pairs.reshape(blocks[:, :, 0].size, -1)
+    if not has_sigma.any():
+        return EpochCoordinates(path.stem, point_list.names, axes, points, covariance, point_list.notes)
     note = f"{path.name} has no covariance between points ({companion.name}): they are treated as independent"
     return EpochCoordinates(path.stem, point_list.names, axes, points, covariance, (*point_list.notes, note))
+
+
+def _missing_sigmas_sentence(has_sigma: Bools, names: Sequence[str], axes: str, covariance_file: str) -> str:
+    """Sentence on missing standard deviations of n points along d axes; `has_sigma` (n, d) flags existing ones."""
+    has_any_sigma = np.asarray(has_sigma.any(axis=0)).tolist()
+    missing_axes = [axis for axis, has_any in zip(axes, has_any_sigma, strict=True) if not has_any]
+    which = "the coordinates"
+    if has_sigma.any():
+        incomplete = [safe_excerpt(names[i]) for i in np.flatnonzero(~has_sigma.all(axis=1)).tolist()]
+        which += f" along {', '.join(missing_axes)}" if missing_axes else f" of {names_text(incomplete)}"
+    first_axis = (*missing_axes, axes[0])[0]
+    return f"{which} have no standard deviations; add {covariance_file} or a column sigma_{first_axis}_mm"
 
 
 def covariance_csv_text(coordinates: Sequence[str], covariance: Floats) -> str:

@@ -25,8 +25,14 @@ class EpochCoordinates:
     points: Floats
     """Coordinates (T, 3) [m] of the T points; 0 along axes that were not measured."""
     covariance: Floats
-    """Joint covariance matrix (T d, T d) [m^2] of T points along d axes; rows are sorted by point, then by axis."""
+    """Joint covariance matrix (T d, T d) [m^2] of T points along d axes; rows are sorted by point, then by axis. NaN
+    for coordinates without standard deviations."""
     notes: tuple[str, ...] = ()
+
+    @property
+    def has_covariance(self) -> bool:
+        """True if the coordinates have standard deviations."""
+        return bool(np.isfinite(np.diag(self.covariance)).all())
 
     @property
     def axis_indices(self) -> Ints:

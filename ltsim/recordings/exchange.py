@@ -2,13 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
 
 from pydantic import ValidationError
 
 from ltsim.core.errors import RecordError, unknown_name_error
+from ltsim.core.notation import names_text
 from ltsim.recordings import coordinates, native
 from ltsim.recordings.conventions import (
     NO_HINTS,
@@ -17,7 +17,7 @@ from ltsim.recordings.conventions import (
     vertical_sight_notes,
 )
 from ltsim.recordings.face_units import face_unit_warnings
-from ltsim.recordings.files import read_file_beginning, with_unix_line_ends
+from ltsim.recordings.files import read_file_beginning, safe_excerpt, with_unix_line_ends
 from ltsim.recordings.formats import cern_lgc, gama, gama_writer, gsi, openindy, polar_text, sdr, spatialanalyzer
 from ltsim.recordings.formats.unsupported import UNSUPPORTED_FORMATS
 from ltsim.recordings.recording import Recording
@@ -25,6 +25,11 @@ from ltsim.recordings.settings import validation_sentence
 from ltsim.recordings.setup import Setup
 from ltsim.recordings.spreadsheets.cells import has_time_of_day, is_numeric
 from ltsim.recordings.tables import reader as tables
+from ltsim.recordings.tables.pose_titles import (
+    MIN_ADDITIONAL_COLUMNS_OF_POSES,
+    are_row_numbers,
+    titles_of_joints_or_rotations,
+)
 from ltsim.recordings.tables.station_names import UnrecognisedStationColumnError
 from ltsim.recordings.tables.unnamed_targets import (
     MOVING_TARGET_TEXT,
@@ -49,10 +54,6 @@ TRIAL_STATION_NAME = "S1"
 MAX_REPEATED_POINT_DISTANCE_M = 1e-3
 """Distance [m] between rows with one name below which these rows are repeated measurements of one point; rows with a
 larger distance contradict each other.
-"""
-MIN_ADDITIONAL_COLUMNS_OF_POSES = 3
-"""Smallest number of columns besides numbered positions, such as angles of joints or of a rotation, that shows poses of
-a robot instead of a list of points.
 """
 NATIVE_FORMAT_DESCRIPTION = "folder with observations.csv and setup.toml"
 POLAR_TEXT_FORMAT_DESCRIPTION = "plain text: station, target, azimuth, zenith or elevation, distance"
@@ -116,14 +117,17 @@ def _refuse_point_list(path: Path, hints: Hints) -> Recording:
             except RecordError:
                 pass  # it is no table of several set-ups
     names = "one name" if n_points == 1 else f"{n_points} names"
-    is_numbered = all(name.isdigit() for name in point_list.names) and all(
-        int(after) == int(name) + 1 for name, after in pairwise(point_list.names)
-    )
+    titles = list(point_list.additional_columns)
+    is_numbered = are_row_numbers(point_list.names) and len(titles) >= MIN_ADDITIONAL_COLUMNS_OF_POSES
     if all(has_time_of_day(name) or (is_numeric(name) and not name.isdigit()) for name in point_list.names) or (
-        is_numbered and len(point_list.additional_columns) >= MIN_ADDITIONAL_COLUMNS_OF_POSES
+        is_numbered
     ):
         message = f"this is a table of {n_points + n_repeated} positions without point names, {MOVING_TARGET_TEXT}; it "
         message += "is not a list of points"
+    elif pose_titles := titles_of_joints_or_rotations(titles):
+        first_name, titles_text = safe_excerpt(point_list.names[0]), names_text([*map(safe_excerpt, pose_titles)])
+        message = f"this is a table of {n_points + n_repeated} poses ('{first_name}') with the angles of joints or "
+        message += f"rotations {titles_text}, {MOVING_TARGET_TEXT}; it is not a list of points"
     elif n_repeated and point_list.max_repeated_point_distance_m < MAX_REPEATED_POINT_DISTANCE_M:
         message = f"this is a list of {n_points} points in {n_points + n_repeated} rows, without instrument readings"
     elif n_repeated >= max(n_points, MIN_ROWS_SHOWING_MOVING_TARGET):

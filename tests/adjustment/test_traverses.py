@@ -9,9 +9,12 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment import adjust
+from ltsim.adjustment.axes import with_control_points
+from ltsim.adjustment.identification.recommendations import recommendations_for_causes
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError
 from ltsim.diagnosis.diagnose import diagnose
+from ltsim.diagnosis.recommendations import inspection_action
 from ltsim.recordings import read
 
 COUNT = 11
@@ -101,6 +104,9 @@ def test_a_wrong_height_of_a_set_up_with_two_pointings_is_no_physics(tmp_path: P
     (finding,) = diagnose(recording, held_out=False).findings
     assert finding.where.stations == ("B#2",)
     assert finding.sentence.startswith("The set-up of B#2 is off by 2")
+    assert finding.sentence.endswith("above its mark: check the height of the instrument, which is declared too low.")
+    action = "Check the height and the centring of set-up B#2 over its mark."
+    assert recommendations_for_causes(lt.adjust(recording).tests) == [action] == [inspection_action(finding)]
 
 
 @pytest.mark.parametrize("reverses_rows", [False, True])
@@ -128,3 +134,51 @@ def test_closed_traverse_in_space_with_lengths_of_the_neighbours(tmp_path: Path,
     places = adjustment.state.target_points[order]
     sides, expected = (np.linalg.norm(p[:, None] - p[None], axis=2) for p in (places, points))
     assert np.abs(sides - expected).max() < 0.01
+
+
+def spatial_traverse(file: Path, legs: list[tuple[int, int]]) -> Path:
+    """A table of the sights, from the first to the second point of each leg, between set-ups over their marks."""
+    angle = np.linspace(0.0, 2 * np.pi, 7, endpoint=False)
+    points = np.column_stack([200 * np.cos(angle), 150 * np.sin(angle), 3 * np.sin(3 * angle)])
+    rows = ["Station;Target;IH;TH;Hz [deg];Zenith [deg];SD [m]"]
+    for i, j in legs:
+        east, north, up = points[j] - points[i] + [0, 0, 1.70 - 1.55]
+        length = np.linalg.norm([east, north, up])
+        turn, zenith = np.degrees([np.arctan2(east, north), np.arccos(up / length)])
+        rows.append(f"T{i};T{j};1.55;1.70;{(turn - 40 * i) % 360:.5f};{zenith:.5f};{length:.4f}")
+    file.write_text("\n".join(rows) + "\n")
+    return file
+
+
+def test_separate_parts_of_a_network_are_named(tmp_path: Path) -> None:
+    """Earlier: the stations of one part share only 0 targets with the network."""
+    legs = [(i, j) for part in ((0, 1, 2), (3, 4, 5)) for i in part for j in part if i != j]
+    says = "2 separate parts: stations T3, T4, T5 measured no point that stations T0, T1, T2 measured"
+    with pytest.raises(NetworkError, match=says):
+        adjust(read(spatial_traverse(tmp_path / "a.csv", legs)))
+
+
+def test_a_traverse_without_backsights_names_the_undetermined_direction(tmp_path: Path) -> None:
+    """Each set-up stands over a point with coordinates, but nothing determines its horizontal circle."""
+    file = spatial_traverse(tmp_path / "a.csv", [(i, i + 1) for i in range(5)])
+    message = "station T1 stands over a point with coordinates, .*direction of its horizontal circle is undetermined"
+    with pytest.raises(NetworkError, match=f"{message}.*T2, T3, T4 cannot be located; measure a backsight"):
+        adjust(read(file))
+
+
+def test_a_part_with_one_reference_point_names_its_undetermined_rotation(tmp_path: Path) -> None:
+    """Earlier: the observations with their declared noise do not determine all unknowns."""
+    legs = [(i, j) for part in ((0, 1, 2), (3, 4, 5)) for i in part for j in part if i != j]
+    recording = read(spatial_traverse(tmp_path / "a.csv", legs))
+    angle = np.linspace(0.0, 2 * np.pi, 7, endpoint=False)
+    lines = [
+        f"T{i},{200e3 * np.cos(angle[i]):.3f},{150e3 * np.sin(angle[i]):.3f},{3e3 * np.sin(3 * angle[i]):.3f},1"
+        for i in (0, 1, 4)
+    ]
+    (tmp_path / "control.csv").write_text("\n".join(["target,x_mm,y_mm,z_mm,sigma_mm", *lines]) + "\n")
+    recording = with_control_points(recording, tmp_path / "control.csv")
+    flat = {"curved": False, "refraction": None}  # on a round earth, plumb lines of levels would tell the direction
+    recording = recording.replace(setup=recording.setup.model_copy(update=flat))
+    says = r"the positions of T5, T3 \(they can rotate together about a vertical axis through T4\) .*set-up T4"
+    with pytest.raises(NetworkError, match=says):
+        lt.adjust(recording)

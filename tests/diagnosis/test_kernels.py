@@ -51,9 +51,9 @@ def flat(content: Any, place: str = "") -> dict[str, Any]:
 def smallest_difference_that_counts(place: str, figures: dict[str, Any]) -> float:
     """Absolute difference at `place` that is rounding: of a zero, of the part of a sigma, of a correlation.
 
-    A figure with a sigma may differ by `RELATIVE_TOLERANCE` of this sigma, and a covariance by `RELATIVE_TOLERANCE` of the product of two sigmas:
-    smaller changes are not seen in any use of the result. Other figures may differ by the rounding of a number of
-    `LARGEST_UNROUNDED`, which subtraction leaves in place of zero.
+    A figure with a sigma may differ by `RELATIVE_TOLERANCE` of this sigma, and a covariance by `RELATIVE_TOLERANCE` of
+    the product of two sigmas: smaller changes are not seen in any use of the result. Other figures may differ by the
+    rounding of a number of `LARGEST_UNROUNDED`, which subtraction leaves in place of zero.
     """
     above, _, name = place.rpartition("/")
     rounding = float(np.finfo(float).eps) * LARGEST_UNROUNDED

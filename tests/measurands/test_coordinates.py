@@ -325,5 +325,47 @@ def test_points_that_define_the_frame_are_excluded(tmp_path: Path) -> None:
     assert first.names == NAMES[1:]
     assert "points that define the frame, with the variance 0, are not used: A" in first.notes
     length = {"name": "length", "kind": "distance", "targets": ["A", "B"]}
-    table = lt.uncertainty(tmp_path / "a.csv", {"task": [length], "monte_carlo": {"digits": 1}}).to_dataframe()
-    assert table["u"][0] == pytest.approx(0.02, rel=1e-6)
+    result = lt.uncertainty(tmp_path / "a.csv", {"task": [length], "monte_carlo": {"digits": 1}}).to_dataframe()
+    assert result["u"][0] == pytest.approx(0.02, rel=1e-6)
+
+
+@pytest.mark.parametrize("lacking", ["first", "second"])
+def test_a_list_without_standard_deviations_counts_as_free_of_errors(tmp_path: Path, lacking: str) -> None:
+    """Earlier, it was refused, also beside a list with standard deviations."""
+    places = {"A": (0, 0, 0), "B": (9000, 100, 50), "C": (200, 7000, 80), "D": (8000, 6500, 2000), "E": (10, 20, 3000)}
+    plain = ["target,x_mm,y_mm,z_mm", *(f"{n},{x},{y},{z}" for n, (x, y, z) in places.items())]
+    files = {"first": tmp_path / "a.csv", "second": tmp_path / "b.csv"}
+    for name, file in files.items():
+        end = ("", "") if name == lacking else (",sigma_mm", ",0.1")
+        file.write_text("\n".join([plain[0] + end[0], *(row + end[1] for row in plain[1:])]) + "\n")
+    files["second"].write_text(files["second"].read_text().replace("D,8000,6500,2000", "D,8000,6500,2002"))
+    result = lt.compare(*files.values())
+    assert result.moved_points == ("D",)
+    (moved,) = [d for d in result.displacements if d.moved]
+    assert moved.displacement_um[2] == pytest.approx(2000.0)
+    assert moved.sigma_um[2] == pytest.approx(100.0, rel=1e-6)
+    assert any(note.startswith(f"the {lacking} list has no standard deviations") for note in result.notes)
+    with pytest.raises(ModelError, match="both lists have no standard deviations"):
+        lt.compare(files[lacking], files[lacking])
+
+
+def test_names_of_points_are_no_row_numbers(tmp_path: Path) -> None:
+    """The title of a point number is preferred to that of a row number, whatever the order of the rows."""
+    rows = {"101": "1,2,3", "102": "4000,5,6", "103": "7,8000,9", "104": "5,6,7000"}
+    for title in ("Punkt-Nr", "Pkt.-Nr.", "PunktID", "Pt No"):
+        for file, names in (("a.csv", [*rows]), ("b.csv", [*reversed(rows)])):
+            lines = [f"{i},{name},{rows[name]},0.1" for i, name in enumerate(names, start=1)]
+            (tmp_path / file).write_text("\n".join([f"Nr.,{title},X [mm],Y [mm],Z [mm],sigma [mm]", *lines]) + "\n")
+        result = lt.compare(tmp_path / "a.csv", tmp_path / "b.csv")
+        assert not result.moved_points
+        assert {d.target for d in result.displacements} == {*rows}
+
+
+def test_missing_standard_deviations_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "points.csv"
+    path.write_text("target,x_mm,y_mm,sigma_x_mm\nA,1,2,0.1\nB,3,4,0.1\n")
+    with pytest.raises(RecordError, match=r"the coordinates along y have no .* or a column sigma_y_mm"):
+        read_coordinates(path, requires_sigmas=False)
+    path.write_text("target,x_mm,y_mm,sigma_mm\nA,1,2,0.1\nB,3,4,\n")
+    with pytest.raises(RecordError, match="the coordinates of B have no standard deviations"):
+        read_coordinates(path)

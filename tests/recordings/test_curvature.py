@@ -9,7 +9,9 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment import adjust
-from ltsim.adjustment.axes import with_axes_from_points
+from ltsim.adjustment.axes import with_axes_from_points, with_control_points
+from ltsim.adjustment.level_surface import level_surface_log_evidence
+from ltsim.adjustment.significance import MIN_LOG_EVIDENCE_CERTAIN
 from ltsim.core.units import EARTH_RADIUS
 from ltsim.recordings import Hints, read
 from ltsim.recordings.coordinates import read_points
@@ -101,3 +103,36 @@ def test_short_sights_and_what_a_person_states_stay_as_they_are(tmp_path: Path, 
     recording = read(survey(tmp_path, size=size, further=further), hints=hints(tmp_path))
     assert not recording.setup.curved and recording.setup.refraction is None
     assert not any("curved earth" in note for note in recording.notes)
+
+
+@pytest.mark.parametrize("refraction", [0.0, 0.13])
+def test_levelled_heights_in_a_frame_are_reported(tmp_path: Path, refraction: float) -> None:
+    """Heights of an office are above a level surface; the network is Cartesian. Earlier, they misfitted silently."""
+    recording = read(survey(tmp_path, size=2.0, refraction=refraction), hints=hints(tmp_path))
+    cartesian = read_points(tmp_path / "true.csv").coordinates_by_name
+    centre = np.mean([*cartesian.values()], axis=0)
+    levelled = {
+        name: place + [0.0, 0.0, np.sum((place - centre)[:2] ** 2) / (2 * EARTH_RADIUS)]
+        for name, place in cartesian.items()
+    }
+    for places, is_reported in ((levelled, True), (cartesian, False)):
+        lines = [f"{name},{','.join(f'{1e3 * x:.3f}' for x in place)},1" for name, place in places.items()]
+        (tmp_path / "list.csv").write_text("\n".join(["target,x_mm,y_mm,z_mm,sigma_mm", *lines]) + "\n")
+        for aligned in (
+            with_axes_from_points(recording, places, "list.csv"),
+            with_control_points(recording, tmp_path / "list.csv"),
+        ):
+            notes = [note for note in aligned.notes if "the heights in list.csv are above a level surface" in note]
+            assert len(notes) == is_reported
+            assert all("subtract d^2 / (2 R) from each height" in note for note in notes)
+
+
+def test_scatter_of_heights_is_no_level_surface() -> None:
+    """At most one in a thousand sets of heights with errors of any size looks like a level surface by chance."""
+    rng = np.random.default_rng(4)
+    offsets = rng.uniform(-800.0, 800.0, (7, 2))
+    offsets -= offsets.mean(axis=0)
+    departures = np.sum(offsets**2, axis=1) / (2 * EARTH_RADIUS)
+    chance = [level_surface_log_evidence(offsets, rng.normal(0.0, 0.03, 7)) for _ in range(2000)]
+    assert np.mean(np.array(chance) > MIN_LOG_EVIDENCE_CERTAIN) <= 0.003
+    assert level_surface_log_evidence(offsets, departures + rng.normal(0.0, 0.002, 7)) > MIN_LOG_EVIDENCE_CERTAIN

@@ -562,3 +562,47 @@ def test_numbered_poses_with_joint_angles_are_no_list_of_points(tmp_path: Path) 
     rows = [[f"{i + 1}", f"{3.5 * i}", f"{1.5 * i}", "0.5", *position(i)] for i in range(8)]
     with pytest.raises(RecordError, match="8 positions without point names"):
         read(written(tmp_path / "a.csv", "pose;J1;J2;J3;x;y;z", rows))
+
+
+@pytest.mark.parametrize(
+    ("form", "says"),
+    [
+        ("355g40'{:02d}\"", "write 355°40'10\" if the parts are degrees, minutes and seconds, or 355.4010"),
+        ("355,40,{:02d},7", "it looks like an angle in degrees, minutes and seconds; write 355°40'10.7\""),
+        ("355°75'{:02d}\"", "minutes or seconds of 60 or more, which are no parts of a degree; write an angle in gon"),
+        ("-3/40/{:02d}", "write -3°40'10\""),
+    ],
+)
+def test_an_angle_with_unknown_marks_is_described(tmp_path: Path, form: str, says: str) -> None:
+    """Earlier, such a cell was no number, and commas in the cells made the table one without header."""
+    rows = [["S1", f"P{i}", form.format(i), "90,25", "12,5"] for i in range(10, 16)]
+    with pytest.raises(RecordError, match=re.escape(says)) as problem:
+        read(written(tmp_path / "a.csv", "Station;Point;Hz;V;SD", rows))
+    assert "row 2, column Hz" in str(problem.value)
+    if "g" in form:
+        with pytest.raises(RecordError, match=re.escape(says)):
+            read(written(tmp_path / "b.csv", "A;B;C;D;E", rows))
+
+
+def test_other_cells_than_angles_are_not_described_as_angles(tmp_path: Path) -> None:
+    rows = [["S1", f"P{i}", "1.5", "90.25", "1g40g10"] for i in range(6)]
+    file = written(tmp_path / "a.csv", "Station;Point;Hz;V;SD", rows)
+    with pytest.raises(RecordError, match=r"found '1g40g10', expected a number$"):
+        read(file)
+
+
+@pytest.mark.parametrize("titles", ["J1;J2;J3", "Axis 1 [deg];Axis 2 [deg];Axis 3 [deg]", "Rx;Ry;Rz", "roll;pitch;yaw"])
+@pytest.mark.parametrize("name", ["Pose1", "P 01"])
+def test_named_poses_with_joint_angles_are_no_list_of_points(tmp_path: Path, titles: str, name: str) -> None:
+    rows = [[f"{name}{i}", f"{3.5 * i}", f"{1.5 * i}", "0.5", *position(i)] for i in range(8)]
+    file = written(tmp_path / "a.csv", f"point;{titles};x;y;z", rows)
+    says = f"8 poses ('{name}0') with the angles of joints or rotations {titles.split(';')[0]}"
+    with pytest.raises(RecordError, match=re.escape(says)):
+        read(file)
+    assert len(read(file, format="table", hints=Hints(station="T1")).targets) == 8
+
+
+def test_points_with_deviations_are_a_list_of_points(tmp_path: Path) -> None:
+    rows = [[f"P{i}", "0.1", "0.2", "0.3", *position(i)] for i in range(8)]
+    with pytest.raises(RecordError, match="a list of 8 points"):
+        read(written(tmp_path / "a.csv", "point;dx;dy;dz;x;y;z", rows))

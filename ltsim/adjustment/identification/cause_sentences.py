@@ -20,8 +20,8 @@ from ltsim.adjustment.identification.hypothesis import (
 from ltsim.adjustment.identification.noise_sentences import noise_sentence
 from ltsim.adjustment.identification.nominal_offsets import offset_cause_text, smr_exchange_text
 from ltsim.adjustment.identification.reading_shifts import ReadingShift
-from ltsim.adjustment.identification.reference_misclosures import misclosure_estimate
-from ltsim.adjustment.reference_tests import length_sigma
+from ltsim.adjustment.identification.reference_misclosures import misclosure_estimate, reference_error_and_covariance
+from ltsim.adjustment.reference_tests import is_in_height_alone, length_sigma
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import names_text, number_text, with_sigma
 from ltsim.core.units import ARCSECOND, MICROMETRE, MICRORADIAN, MILLIMETRE, PPM, SI_PER_UNIT
@@ -88,11 +88,28 @@ def _reference_sentence(fit: NetworkFit, hypothesis: CauseHypothesis, rival_name
     verb, them = ("are", "them") if plural else ("is", "it")
     words = CAUSE_PHRASE_BY_REFERENCE_KIND[hypothesis.model_change.reference_value.kind]
     phrase = f"{words} {hypothesis.reference_name_or_sentence} {verb} off by {size_text}"
+    if height_text := _mark_height_text(fit, hypothesis):
+        return f"{phrase}, {height_text}."
     if scale_text := _equivalent_scale_text(fit, hypothesis):
         return f"{phrase}, or {scale_text}: check both."
     if rival_names:
         return f"{phrase}, or those of {names_text(rival_names)} are wrong: check each."
     return f"{phrase}: check {them}."
+
+
+def _mark_height_text(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
+    """Clause on a set-up that is above or below its mark and at no other horizontal position; otherwise empty."""
+    assert isinstance(hypothesis.model_change, ReferenceOmission)
+    if hypothesis.model_change.reference_value.kind != "mark":
+        return ""
+    error_and_covariance = reference_error_and_covariance(fit, hypothesis)
+    if error_and_covariance is None:
+        return ""
+    error, covariance = error_and_covariance
+    if not is_in_height_alone(error, np.sqrt(np.diag(covariance))):
+        return ""
+    side, declared = ("above", "low") if error[-1] > 0 else ("below", "high")
+    return f"{side} its mark: check the height of the instrument, which is declared too {declared}"
 
 
 def _equivalent_scale_text(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:

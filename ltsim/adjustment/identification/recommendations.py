@@ -34,6 +34,12 @@ RECOMMENDATION_BY_CAUSE_KIND = {
 `at_place` by these names after the word "at", `setups` by the set-ups to measure again, `rows` by the pointing with its
 row number.
 """
+RECOMMENDATION_BY_REFERENCE_KIND = {
+    "mark": "Check the height and the centring of set-up {place} over its mark.",
+    "level": "Check the level of {place}, and measure this set-up again.",
+}
+"""Sentence on the next action after a wrong reference value of a set-up, by the kind of the value; for other kinds the
+sentence of `RECOMMENDATION_BY_CAUSE_KIND` applies."""
 EXCHANGED_NAMES_RECOMMENDATION = "Exchange the names {targets} at {stations} in the recording."
 """Sentence on the next action after the exchange of two targets in the pointings of some set-ups."""
 EXCHANGED_COORDINATES_RECOMMENDATION = (
@@ -60,6 +66,7 @@ def recommendation_for_cause(test: CauseTest) -> str:
         test.where.targets,
         test.rows,
         concerns_vertical_index=_is_vertical_index_error(test),
+        reference_kind=test.acts_on if test.kind == "reference-value" else "",
     )
 
 
@@ -70,18 +77,21 @@ def recommendation_at_place(
     rows: Sequence[int] = (),
     *,
     concerns_vertical_index: bool = False,
+    reference_kind: str = "",
 ) -> str:
     """Sentence on the next action after a cause of a kind at stations and targets; empty if the kind has no action.
 
     `rows` are the row numbers, from 1, of the affected pointings. `concerns_vertical_index` is True for an offset or
-    step of elevations.
+    step of elevations. `reference_kind` is the kind of a wrong reference value, such as `mark`.
     """
     if cause_kind == "names" and len(targets) == 2:
         sentence = EXCHANGED_NAMES_RECOMMENDATION if stations else EXCHANGED_COORDINATES_RECOMMENDATION
         return sentence.format(targets=names_text(sorted(targets)), stations=names_text(stations))
     names = (*stations, *targets)
     place = names_text(names, len(names)) if names else "the set-ups"
-    action = VERTICAL_INDEX_RECOMMENDATION if concerns_vertical_index else RECOMMENDATION_BY_CAUSE_KIND.get(cause_kind)
+    action = RECOMMENDATION_BY_REFERENCE_KIND.get(reference_kind) if stations else None
+    action = action or RECOMMENDATION_BY_CAUSE_KIND.get(cause_kind)
+    action = VERTICAL_INDEX_RECOMMENDATION if concerns_vertical_index else action
     row = f" (row {rows[0]})" if len(rows) == 1 else ""
     target_text = names_text(targets, len(targets)) or "the reading"
     reading_text = f"{target_text}{' from ' if stations else ''}{', '.join(stations)}{row}"

@@ -39,6 +39,39 @@ _PACKED_DEGREES_PATTERN = re.compile(r"([+-]?)(\d{1,3})(?:[.,](\d*))?")
 """Pattern of degrees whose decimals contain minutes and seconds, such as 33.120747."""
 _PACKED_INTEGER_PATTERN = re.compile(r"([+-]?)(\d{1,3})(\d{2})(\d{2}(?:[.,]\d+)?)")
 """Pattern of degrees, minutes and seconds without separators, such as 331207.47."""
+_THREE_PARTS_PATTERN = re.compile(
+    r"[+-]?\s*(?P<degrees>\d{1,3})(?P<separator>\D{1,5}?)(?P<minutes>\d{1,2})\D{1,5}?(?P<seconds>\d{1,2})(?:[.,](?P<decimals>\d+))?\D{0,5}"
+)
+"""Pattern of three numbers with any marks between them, such as 355g40'14"."""
+_CENTESIMAL_SEPARATOR_PATTERN = re.compile(r"\s*g(?:on|r|rd)?\s*", re.IGNORECASE)
+"""Pattern of a symbol for gon, which some programs write also for degrees (Grad, grados)."""
+MAX_MINUTES = 60
+"""Number of minutes in a degree and of seconds in a minute; parts of an angle are below it."""
+
+
+def unreadable_angle_sentence(text: str) -> str:
+    """Sentence on what a cell looks like that is no readable angle, and how to write it; '' for any other cell.
+
+    The cell has three numbers with marks between them that may be degrees, minutes and seconds.
+    """
+    match = _THREE_PARTS_PATTERN.fullmatch(text.strip()) if len(text) <= MAX_VALUE_TEXT_LENGTH else None
+    if match is None or parse_sexagesimal(text) is not None:
+        return ""
+    degrees, minutes, seconds = match["degrees"], match["minutes"].zfill(2), match["seconds"].zfill(2)
+    decimals = f".{match['decimals']}" if match["decimals"] else ""
+    sign = "-" * text.strip().startswith("-")
+    sexagesimal = f"{sign}{degrees}°{minutes}'{seconds}{decimals}\""
+    centesimal = f"{sign}{degrees}.{minutes}{seconds}{match['decimals'] or ''}"
+    has_gon_symbol = _CENTESIMAL_SEPARATOR_PATTERN.fullmatch(match["separator"]) is not None
+    if max(int(minutes), int(seconds)) >= MAX_MINUTES:
+        what = f"it has minutes or seconds of {MAX_MINUTES} or more, which are no parts of a degree"
+        return f"{what}; write an angle in gon as {centesimal}"
+    if has_gon_symbol:
+        return (
+            "it looks like an angle of three parts with the symbol of gon before minutes and seconds; write "
+            f"{sexagesimal} if the parts are degrees, minutes and seconds, or {centesimal} if they are gon"
+        )
+    return f"it looks like an angle in degrees, minutes and seconds; write {sexagesimal}"
 
 
 def parse_sexagesimal(text: str) -> Decimal | None:
@@ -101,7 +134,7 @@ def joined_angle_text(cell_texts: Sequence[str]) -> str:
 def _degrees_from_parts(sign: str, degrees: str, minutes: str, seconds: str) -> Decimal | None:
     """Degrees from texts of degrees, minutes and seconds; None for minutes of 60 or more, or seconds above 60."""
     minutes_and_seconds = Decimal(minutes), Decimal(seconds or 0)
-    if minutes_and_seconds[0] >= 60 or minutes_and_seconds[1] > 60:
+    if minutes_and_seconds[0] >= MAX_MINUTES or minutes_and_seconds[1] > MAX_MINUTES:
         return None
     magnitude = Decimal(degrees) + (minutes_and_seconds[0] * 60 + minutes_and_seconds[1]) / 3600
     return -magnitude if sign == "-" else magnitude

@@ -39,6 +39,8 @@ ZIP_SIGNATURE = b"PK\x03\x04"
 """First bytes of a zip archive, such as a workbook."""
 FIELD_SEPARATORS = ("\t", ";", ",", " ")
 """Possible separators of fields; among equally likely ones the first is used."""
+UNAMBIGUOUS_SEPARATORS = FIELD_SEPARATORS[:2]
+"""Separators that numbers do not contain; one that is in all lines equally often is that of the fields."""
 N_SEPARATOR_SAMPLE_LINES = 400
 """Number of lines from which the separator is detected."""
 MAX_SEPARATOR_SAMPLE_CHARACTERS = 100_000
@@ -235,8 +237,9 @@ def _detect_separator(lines: Sequence[str]) -> str:
         for line, before in lines_and_offsets
         if before < MAX_SEPARATOR_SAMPLE_CHARACTERS and line.strip() and line.lstrip()[0] != "#"
     ]
-    if sample and all(line.count("\t") == sample[0].count("\t") > 2 for line in sample):
-        return "\t"
+    for separator in UNAMBIGUOUS_SEPARATORS:
+        if sample and all(line.count(separator) == sample[0].count(separator) > 2 for line in sample):
+            return separator
     width = {s: max((len(_split_fields(line, s)) for line in sample[:1]), default=0) for s in FIELD_SEPARATORS[:3]}
     return max(
         FIELD_SEPARATORS,

@@ -17,7 +17,8 @@ TITLES_BY_ROLE = {
     "from fromstn fromstation frompoint frompointid von instrument instrumentname "
     "tracker trackername device deviceid devicename stationsname setupname setupid setupno setupnr "
     "setupnumber occupation occupationid aufstellung aufstellungnr aufstellungsnr besetzung stationierung standpkt",
-    "target": "target point pt name punkt pkt punktnummer punktname pnr pointname pointid pointnumber pointno "
+    "target": "target point pt name punkt pkt punktnummer punktnr punktid punktno pktnummer pktnr punktname pnr "
+    "pointname pointid pointnumber pointno "
     "pointnr ptid ptno ptnr ptname targetname targetid feature featurename id to tostn tostation "
     "topoint topointid observed observedpoint sighted sightedpoint nach reflector smr "
     "zielpunkt zielpunktnr zielpunktnummer ziel nest nr nummer no",

@@ -9,7 +9,7 @@ from ltsim.core.units import LENGTH_UNITS
 from ltsim.recordings.conventions import FULL_CIRCLE_BY_UNIT
 from ltsim.recordings.files import is_number, safe_excerpt
 from ltsim.recordings.spreadsheets import cells
-from ltsim.recordings.spreadsheets.angle_cells import ANGLE_SYMBOLS
+from ltsim.recordings.spreadsheets.angle_cells import ANGLE_SYMBOLS, unreadable_angle_sentence
 from ltsim.recordings.spreadsheets.header import (
     COORDINATE_ROLES,
     header_columns,
@@ -71,7 +71,12 @@ def unrecognised_header_sentence(sheet: TableSheet, is_readable_with: Callable[[
         is_ambiguous = not has_header and advice != assignments[-1] and is_readable_with(assignments[-1])
         return f'{sentence}, or --columns "{assignments[-1]}"' if is_ambiguous else sentence
     reason = "no three columns look like two angles and a distance, or like coordinates"
-    return f"{header} does not say what its columns contain, and {reason}; define them if they are: {COLUMNS_TEMPLATE}"
+    sentence = f"{header} does not say what its columns contain, and {reason}"
+    first_angle = next((text for text in data_rows[0] if unreadable_angle_sentence(text)), None)
+    if first_angle is not None:
+        sentence += f"; found '{safe_excerpt(first_angle)}' ({unreadable_angle_sentence(first_angle)})"
+        return f"{sentence}; then define the columns: {COLUMNS_TEMPLATE}"
+    return f"{sentence}; define them if they are: {COLUMNS_TEMPLATE}"
 
 
 def _column_reference(position: int, titles: Sequence[str]) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ltsim.recordings.files import MAX_CELL_TEXT_LENGTH, SourceLocation, safe_excerpt
 from ltsim.recordings.spreadsheets import cells
-from ltsim.recordings.spreadsheets.angle_cells import parse_packed_degrees
+from ltsim.recordings.spreadsheets.angle_cells import parse_packed_degrees, unreadable_angle_sentence
 from ltsim.recordings.spreadsheets.header import (
     DISTANCE_ROLES,
     HORIZONTAL_ROLES,
@@ -169,7 +169,10 @@ class RowBatchReader:
             what = "degrees, minutes and seconds, such as 33°12'07.5\" or 33.12075"
             raise location.error(f"found '{safe_excerpt(text)}', expected {what}", safe_excerpt(column.title))
         if exact_value is None or not abs(exact_value) < MAX_READING_MAGNITUDE:
-            raise location.error(f"found '{safe_excerpt(text)}', expected a number", safe_excerpt(column.title))
+            is_angle = column.role in (*HORIZONTAL_ROLES, *VERTICAL_ROLES)
+            appearance = f" ({sentence})" if is_angle and (sentence := unreadable_angle_sentence(text)) else ""
+            message = f"found '{safe_excerpt(text)}', expected a number{appearance}"
+            raise location.error(message, safe_excerpt(column.title))
         if column.role in DISTANCE_ROLES and not exact_value > 0:
             what = f"found {safe_excerpt(text)}, expected a distance above 0, or an empty cell if none was measured"
             raise location.error(what, safe_excerpt(column.title))
