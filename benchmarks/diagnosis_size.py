@@ -75,10 +75,10 @@ def measured(kind: str, pointings: int) -> dict[str, Any]:
     drift = np.zeros((pointings, 3))
     drift[:, 2] = 4 * MICRORADIAN * np.exp(-clean.time / (0.2 * clean.time[-1]))
     recording = clean.with_readings(clean.readings + drift)
-    lt.diagnose(watched(240))  # Imports and compiled parts are no part of it.
+    lt.diagnose(watched(240), held_out=False)  # Imports and compiled parts are no part of it.
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
     wall, start = time.perf_counter(), time.process_time()
-    result_content = lt.diagnose(recording).content()
+    result_content = lt.diagnose(recording, held_out=False).content()
     return {
         "recording": kind, "set_ups": len(recording.stations), "targets": len(recording.targets),
         "pointings": len(recording), "columns": len(recording.covariates),

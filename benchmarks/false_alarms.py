@@ -42,7 +42,7 @@ def hall(size: str) -> str:
 
 def chance(seed: int, file: Path) -> tuple[float, int]:
     """The p-value of the search on one clean recording, compared with its own draws, and how many unknowns it has."""
-    diagnosis = lt.diagnose(lt.simulate(file, seed=seed)[0], seed=seed)
+    diagnosis = lt.diagnose(lt.simulate(file, seed=seed)[0], seed=seed, held_out=False)
     return diagnosis.global_test.search_p_value, diagnosis.baseline_adjustment.solution.system.design.shape[1]
 
 

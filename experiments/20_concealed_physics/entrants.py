@@ -30,7 +30,7 @@ def ltsim(recording: Path, out: Path) -> None:
     from .measure import Model
 
     given = lt.read(str(recording))
-    diagnosis = lt.diagnose(given)
+    diagnosis = lt.diagnose(given, held_out=False)
     lt.write(diagnosis, out)
     change, factors = diagnosis.modelled_reading_change(given), diagnosis.variance_factors
     notes = {"coefficients": diagnosis.n_effect_coefficients}
