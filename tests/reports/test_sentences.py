@@ -208,7 +208,12 @@ def test_the_comparison_of_methods_counts_and_sizes_each_sign(sizes: tuple[float
 def test_coverage_is_separate_where_the_noise_is_not_the_declared_one(tmp_path: Path) -> None:
     section = campaign_section(samples.campaign_folder(tmp_path / "campaign"))
     tiles = [fact.name for fact in section.key_figures if fact.name.startswith("coverage")]
-    assert tiles == ["coverage of 95 % intervals", "coverage of 95 % intervals with noise factor 2 (not declared)"]
+    assert [name.partition(";")[0] for name in tiles] == [
+        "coverage of 95 % intervals", "coverage of 95 % intervals with noise factor 2 (not declared)"
+    ]  # fmt: skip
+    assert all(name.partition("; ")[2].split(" ")[1].startswith("intervals") for name in tiles)
+    values = [fact.value for fact in section.key_figures if fact.name in tiles]
+    assert all(re.fullmatch(r"\d+\.\d %", value) for value in values), values
 
 
 def test_the_three_most_urgent_actions_are_shown() -> None:

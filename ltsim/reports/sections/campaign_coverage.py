@@ -38,9 +38,10 @@ def coverage_key_figures(manifest: ManifestFile, z_scores: Sequence[ZScoreSummar
     for text, summaries in sorted(scores_by_kind.items(), key=lambda group: group[0]):
         shares, n_intervals = [s.coverage_95 for s in summaries], sum(s.trials for s in summaries)
         mean_share = sum(s.coverage_95 * s.trials for s in summaries) / n_intervals
-        range_text = f"; for single parameters and cells {100 * min(shares):.1f} to {100 * max(shares):.1f} %"
-        value = f"{100 * mean_share:.1f} % of {n_intervals} intervals" + (range_text if len(summaries) > 1 else "")
-        facts.append(KeyFigure("coverage of 95 % intervals" + (f" with {text} (not declared)" if text else ""), value))
+        range_text = f"; single parameters and cells: {100 * min(shares):.1f} to {100 * max(shares):.1f} %"
+        name = "coverage of 95 % intervals" + (f" with {text} (not declared)" if text else "")
+        name += f"; {n_intervals} intervals" + (range_text if len(summaries) > 1 else "")
+        facts.append(KeyFigure(name, f"{100 * mean_share:.1f} %"))
     return facts
 
 
