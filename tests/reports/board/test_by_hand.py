@@ -198,6 +198,12 @@ COVERED = """(() => { stations[1].position_mm = [stations[0].position_mm[0] - 12
 """Pairs of names that cover each other, the second station 1.2 m beside the first."""
 
 
+CUT_OFF = """[...document.querySelectorAll("table, td button, td input, #facts > *")].filter(
+  element => element.getBoundingClientRect().right > document.querySelector("main").getBoundingClientRect().right + 1
+).map(element => element.outerHTML.slice(0, 60))"""
+"""Tables, buttons and fields that reach beyond the right edge of the page."""
+
+
 LATE_VERDICT = """(() => {
   let answer; const late = new Promise(resolve => { answer = resolve; }), present = post;
   post = endpoint => endpoint === "verdict" ? late : present(endpoint);
@@ -253,6 +259,10 @@ def test_a_dragged_station_changes_the_accuracy_on_the_page(hall: Path, tmp_path
             tab.until("!busy && document.querySelector('#saved').textContent === ''")
             assert tab.value("stations") == before[3] != saved
             assert tab.value(COVERED) == []
+            for width in (390, 900, 1030, 1280):
+                metrics = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+                tab.call("Emulation.setDeviceMetricsOverride", **metrics)
+                assert tab.value(CUT_OFF) == [], width
             assert not [line for line in tab.said if "hashes" not in line and '"rendering"' not in line]
         _, scenario = load_plan(tmp_path / "moved" / "plan.toml")
         assert list(scenario.stations["S1"].position_mm) == after[2]
