@@ -94,7 +94,7 @@ def test_a_swap_is_a_swap(recording: Recording) -> None:
 @pytest.mark.long
 def test_what_is_injected_is_found(recording: Recording) -> None:
     made, truth = lt.inject(recording, "target-moved", noncentrality=400.0, seed=2)
-    found = lt.diagnose(made)
+    found = lt.diagnose(made, held_out=False)
     assert found.verdict == "mismatch"
     assert list(found.findings[0].where.targets) == truth.to_json()["injected"][0]["targets"]
 

@@ -27,7 +27,7 @@ RECOMMENDATION_BY_CAUSE_KIND = {
     "reference-scale": "Check the temperature and expansion of the reference lengths, and the scale of the distances.",
     "names": "Correct the names{at_place} in the recording.",
     "unit": "Read the recording again with the right unit{at_place}.",
-    "height": "Check the heights of the instrument and of the targets{at_place}.",
+    "height": "Check the heights of the instrument and of the targets{at_place}, and whether a target moved.",
     "noise-level": "Find the cause of the scatter{at_place}, or declare this noise in setup.toml, [instrument.noise].",
 }
 """Sentence on the next action, by kind of cause. `place` is replaced by the names of the stations and targets,
