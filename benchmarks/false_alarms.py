@@ -42,7 +42,7 @@ def hall(size: str) -> str:
 
 def p_value_of_search(seed: int, file: Path) -> tuple[float, int]:
     """p-value of the search on one recording without an effect, and the number of unknowns of its adjustment."""
-    diagnosis = lt.diagnose(lt.simulate(file, seed=seed)[0], seed=seed)
+    diagnosis = lt.diagnose(lt.simulate(file, seed=seed)[0], seed=seed, held_out=False)
     return diagnosis.global_test.search_p_value, diagnosis.baseline_adjustment.solution.system.design.shape[1]
 
 

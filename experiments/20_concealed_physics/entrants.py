@@ -33,7 +33,7 @@ def ltsim(recording: Path, out: Path) -> None:
     from .measure import Model
 
     data = lt.read(str(recording))
-    diagnosis = lt.diagnose(data)
+    diagnosis = lt.diagnose(data, held_out=False)
     lt.write(diagnosis, out)
     change, factors = diagnosis.modelled_reading_change(data), diagnosis.variance_factors
     notes = {"coefficients": diagnosis.n_effect_coefficients}

@@ -86,7 +86,7 @@ def calibrate(observations: Observations, recording: Recording, place: Place, fo
 
 def diagnose(observations: Observations, recording: Recording, place: Place, folder: Path) -> Report:
     """Report of `ltsim diagnose`."""
-    result = lt.diagnose(recording)
+    result = lt.diagnose(recording, held_out=False)
     reported = [f for f in result.findings if f.evidence.probability >= MIN_PROBABILITY or f is result.findings[0]]
     at = [place.includes(*_where(finding)) for finding in reported]
     points = _coordinates(result, len(observations.hall.points))

@@ -175,7 +175,7 @@ def _wrong_heights(adjustment: Adjustment, is_gross: Bools) -> Iterator[BlunderW
         where = "above" if size > 0 else "below"
         sentence = (
             f"From station {station} the pointing to {target} (row {numbers}) is {abs(size) / MILLIMETRE:.1f} mm "
-            f"{where} the target: the height of the target or the instrument is wrong."
+            f"{where} the target: the height of the target or the instrument is wrong, or the target moved vertically."
         )
         rows_ = indices[members]
         finding = IdentifiedBlunder("outlier", rows_, (station,), (target,), (), abs(size), sentence)

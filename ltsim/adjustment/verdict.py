@@ -132,9 +132,10 @@ def _verdict_from_tests(adjustment: Adjustment, alpha: float, fit_with_constants
     reasons = _rejection_reasons(adjustment, alpha, fit_with_constants)
     conclusion = f"Trust the global test, which fails, and the estimated sigma0: {phrase}."
     if fit_with_constants is not None and fit_with_constants[1] > 0:
+        result = "has" if _explains_misfit(fit_with_constants, alpha) else "fails the global test:"
         conclusion = (
-            f"This adjustment, which does not estimate the instrument constants, fails the global test: {phrase}. The "
-            "standard deviations of the adjustment are multiplied by sigma0."
+            f"This adjustment, which does not estimate the instrument constants, {result} {phrase}. The standard "
+            "deviations of the adjustment are multiplied by sigma0."
         )
     sentence = f"{reasons} {conclusion} {flagged_sentence}{_noisy_targets_sentence(adjustment)}"
     return Verdict(VerdictCase.UNEXPLAINED_MISFIT, sentence, True)
@@ -144,6 +145,15 @@ def _sigma0_limits(dof: int, alpha: float) -> tuple[float, float]:
     """Lower and upper critical value of sigma0 with `dof` degrees of freedom, at the two-sided level `alpha`."""
     low, high = np.sqrt(2.0 * special.gammaincinv(0.5 * dof, [alpha / 2, 1 - alpha / 2]) / dof).tolist()
     return low, high
+
+
+def _explains_misfit(fit_with_constants: tuple[float, int], alpha: float) -> bool:
+    """True if a fit with instrument constants (chi-square, degrees of freedom) passes the global test.
+
+    The fit passes too if it scatters less than the noise permits. `alpha` is the two-sided level of the test.
+    """
+    chi2, dof = fit_with_constants
+    return float(np.sqrt(chi2 / dof)) <= _sigma0_limits(dof, alpha)[1]
 
 
 def _sigma0_with_constants_sentence(fit_with_constants: tuple[float, int] | None, alpha: float) -> str:
@@ -170,13 +180,13 @@ def _rejection_reasons(adjustment: Adjustment, alpha: float, fit_with_constants:
         chi2, dof = fit_with_constants
         low, high = _sigma0_limits(dof, alpha)
         sigma0 = float(np.sqrt(chi2 / dof))
-        fit = f"If these constants are estimated, sigma0 is {sigma0:.3f} ({low:.3f} to {high:.3f} expected)"
-        if sigma0 <= high:
+        expected = f"sigma0 is {sigma0:.3f} ({low:.3f} to {high:.3f} expected)"
+        if _explains_misfit(fit_with_constants, alpha):
             smaller = "" if sigma0 >= low else f", so that the noise is smaller than {origin}"
-            return f"The readings contain errors of the instrument constants. {fit}{smaller}."
+            return f"The instrument constants explain the residuals: if they are estimated, {expected}{smaller}."
         return (
             f"The noise is larger than {origin}, or a systematic effect is missing from the model. Errors of the "
-            f"instrument constants are not the only reason. {fit}."
+            f"instrument constants are not the only reason. If these constants are estimated, {expected}."
         )
     if adjustment.construction.n_parameters or adjustment.recording.is_corrected:
         return f"The noise is larger than {origin}, or a systematic effect is missing from the model."

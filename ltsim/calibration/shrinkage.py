@@ -206,7 +206,7 @@ class ScaledPrior:
             return f"{why}; no correction is applied, because {cause}"
         if not self._is_scale_estimated:
             if low <= self._scales[0]:
-                return f"no error of the instrument is significant: its prior sigma is at most {high:.2g} times as big"
+                return f"the errors of the instrument are insignificant: their rms is at most {high:.2g} prior sigmas"
             size = f"{'larger' if self.most_likely_scale > 1.0 else 'smaller'} than their prior sigmas"
             return f"the errors of the instrument are {size}: prior sigmas {factor} as large are most likely {limits}"
         counts = f"{int(np.sum(self._strength > self.most_likely_scale**-2))} of {len(self._strength)} combinations"

@@ -146,12 +146,13 @@ def injection_curve(
     if not len(strengths) or any(not s > 0.0 for s in strengths):
         raise ModelError("a detection curve needs at least one noncentrality (strengths), each of them above 0")
     original = load_recording(recording)
-    background = diagnose(original)
+    background = diagnose(original, held_out=False)
     curve_rows = []
     for strength in strengths:
         draws = [inject(original, cause, noncentrality=strength, seed=seed + k) for k in range(injections)]
         judged = [
-            compare_with_injection(diagnose(made), truth.injected_effects[0], background) for made, truth in draws
+            compare_with_injection(diagnose(made, held_out=False), truth.injected_effects[0], background)
+            for made, truth in draws
         ]
         curve_rows.append(_detection_curve_row(strength, [truth.injected_effects[0] for _, truth in draws], judged))
     effect_names = tuple(sorted({f.effect for f in background.findings}))

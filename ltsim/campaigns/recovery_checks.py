@@ -76,7 +76,11 @@ class RecoveryCheck(Entry):
     def sentence(self) -> str:
         """Sentence with the result of the check, its value and its limits."""
         verdict, value = "passes" if self.passed else "fails", "unknown" if self.value is None else f"{self.value:.4g}"
-        limits = f"allowed {self.lower_limit:.4g} to {self.upper_limit:.4g}"
+        limits = (
+            f"required {self.lower_limit:.4g}"
+            if self.lower_limit == self.upper_limit
+            else f"allowed {self.lower_limit:.4g} to {self.upper_limit:.4g}"
+        )
         return f"{self.subject} {verdict}: {self.statistic} = {value} ({limits})"
 
 

@@ -247,7 +247,7 @@ HeldOutErrorOption = Annotated[
         "--held-out/--no-held-out",
         help="Compute the held-out error by 5-fold cross-validation: the diagnosis is repeated five times, each time "
         "without a fifth of the readings, which it then predicts. Effects that predict worse than no effect are "
-        "reported as improbable. Default: only for small recordings.",
+        "reported as improbable. Default, as in Python: only in networks with up to 500 unknowns.",
     ),
 ]
 

@@ -306,7 +306,7 @@ def _propose_next_measurement(
     modelled_effects: tuple[LinearEffect, ...] = ()
     if not effect_names:
         with terminal.show_progress("diagnosing"):
-            diagnosis = lt.diagnose(recording)
+            diagnosis = lt.diagnose(recording, held_out=False)
         summary = diagnosis.summary
         terminal.print_text(summary)
         effect_names, modelled_effects = explanations_of_ambiguous_finding(diagnosis)

@@ -98,8 +98,9 @@ def diagnose(
     held_out : bool, optional
         True for 5-fold cross-validation: the search is repeated without each fold of the readings, and the selected
         model predicts the fold. This takes five more searches if the model is not empty. If the model predicts the
-        folds worse than no effect, its effects are reported as improbable. None for cross-validation only in networks
-        with up to `calibration.shrinkage.MAX_DENSE_UNKNOWNS` unknowns.
+        folds worse than no effect, its effects are reported as improbable. None, which `lt.diagnose` and the command
+        line pass by default, for cross-validation only in networks with up to
+        `calibration.shrinkage.MAX_DENSE_UNKNOWNS` unknowns.
 
     Returns
     -------

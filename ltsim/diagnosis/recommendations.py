@@ -47,7 +47,7 @@ def inspection_action(finding: Finding) -> str:
     covariates_text = f" with {names_text(scope.covariates)}" if scope.covariates else ""
     change = f"change of the {finding.carrier or 'readings'}{covariates_text}"
     title = effect_title(finding.effect) if finding.is_catalogued else f"a {change}"
-    action = f"Inspect {place} for the cause: {title}" if place else f"Look for {title} in all set-ups"
+    action = f"Inspect {place} for the cause: {title}" if place else f"Look in all set-ups for the cause: {title}"
     return f"{action}{_confirmation_text(finding)}."
 
 

@@ -53,12 +53,15 @@ class FindingEvidence(Entry):
     """Strength of the evidence for a finding: drop of chi-square, p-value and probabilities."""
 
     chi2_drop: Finite
-    """Decrease of chi-square by the inclusion of the finding in the model."""
+    """Decrease of chi-square by the inclusion of the finding in the model. For noise it is twice the gain of log
+    likelihood, and for exchanged names, wrong units and centring errors twice the gain of log evidence of robust
+    fits."""
     parameters: int
     """Number of estimated parameters of the finding."""
     p_value: OptionalFloat = None
     """p-value of the finding, corrected for the number of hypotheses of the search for effects. It is the rank among n
-    simulated recordings without effects, and is never below 1 / (n + 1)."""
+    simulated recordings without effects, and is never below 1 / (n + 1). For a finding that was corrected before the
+    search it is the p-value of its test, not corrected for other tests."""
     probability: Finite = 1.0
     """Posterior probability of this effect against all other explanations."""
     p_same_scope: OptionalFloat = None

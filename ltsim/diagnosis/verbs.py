@@ -17,7 +17,7 @@ def diagnose(
     level: float = 0.05,
     seed: int = 0,
     history: Calibration | History | str | Path | None = None,
-    held_out: bool | None = False,
+    held_out: bool | None = None,
 ) -> Diagnosis:
     """Diagnosis of a recording: agreement with the model, or probable causes of the mismatch with their probabilities.
 
@@ -35,7 +35,8 @@ def diagnose(
     held_out : bool, optional
         True for 5-fold cross-validation: the whole search is repeated without each fold of pointings, and the selected
         model predicts the fold. This takes five more searches. Effects that predict the folds worse than no effect are
-        reported as improbable. With None, cross-validation is done in small networks only.
+        reported as improbable. False for none. The default None, as on the command line, is True for a network with up
+        to 500 unknowns.
 
     Raises
     ------

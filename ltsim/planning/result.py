@@ -86,7 +86,8 @@ class Plan(ResultFile, PlannedLayoutEntry):
     confusable_effects: tuple[ConfusablePair, ...] = ()
     """Pairs of effects that measurements in this layout hardly distinguish."""
     undetectable_effects: tuple[str, ...] = ()
-    """Names of effects that change no residual, so that a diagnosis cannot detect them."""
+    """Names of effects that a diagnosis cannot detect: they change no residual, or depend on data that the plan does
+    not contain. Blunders such as exchanged names, which separate tests identify, are not among them."""
 
     _network: PlannedNetwork | None = PrivateAttr(None)
 

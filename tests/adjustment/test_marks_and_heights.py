@@ -85,6 +85,7 @@ def test_a_height_that_was_not_declared_is_reported_with_its_size(height: float)
     assert blunder.pointing_indices.tolist() == [30]
     assert blunder.displacement == pytest.approx(abs(height), abs=0.05e-3)
     assert f"{1e3 * abs(height):.0f}." in blunder.sentence
+    assert blunder.sentence.endswith("the instrument is wrong, or the target moved vertically.")
     np.testing.assert_allclose(corrected[0], recording.readings[30], atol=2e-5)
     assert adjustment.sigma0 == pytest.approx(1.0, abs=0.25)
 

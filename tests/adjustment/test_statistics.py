@@ -201,11 +201,23 @@ def test_a_group_without_redundancy_keeps_its_noise():
 def test_the_verdict_says_to_which_adjustment_a_sigma0_belongs():
     """`Trust the estimated sigma0: 5.989` stood next to `sigma0 is 0.999`."""
     misfit = adjust(noisy(1, (6.0, 6.0, 6.0)), TRACKER)
-    sentence = verdict_on(misfit, fit_with_constants=(float(misfit.dof), misfit.dof)).sentence
-    assert "If these constants are estimated, sigma0 is 1.000 (" in sentence
+    sentence = verdict_on(misfit, fit_with_constants=(9.0 * misfit.dof, misfit.dof)).sentence
+    assert "If these constants are estimated, sigma0 is 3.000 (" in sentence
     assert f"fails the global test: sigma0 = {misfit.sigma0:.3f} (" in sentence
     assert "Trust" not in sentence
     assert "is an outlier with the estimated noise." in sentence
+
+
+@pytest.mark.parametrize(("factor", "suffix"), [(1.0, ""), (0.25, ", so that the noise is smaller than declared")])
+def test_constants_that_explain_the_residuals_are_no_failure(factor: float, suffix: str) -> None:
+    """The verdict on two faces of an ordinary tracker began with errors, and said `fails the global test`."""
+    misfit = adjust(noisy(1, (6.0, 6.0, 6.0)), TRACKER)
+    verdict = verdict_on(misfit, fit_with_constants=(factor * misfit.dof, misfit.dof))
+    assert verdict.sentence.startswith("The instrument constants explain the residuals: if they are estimated, sigma0 ")
+    assert f"expected){suffix}." in verdict.sentence
+    assert f"does not estimate the instrument constants, has sigma0 = {misfit.sigma0:.3f} (" in verdict.sentence
+    assert "fail" not in verdict.sentence
+    assert verdict.uses_estimated_noise
 
 
 def test_the_verdict_says_which_test_to_trust():

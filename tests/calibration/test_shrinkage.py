@@ -259,4 +259,4 @@ def test_an_instrument_without_errors_contradicts_no_prior(evidence: tuple[Float
     """Sigmas 0.0001 times as large as declared, and a contradiction, were reported for a clean instrument."""
     information, _ = evidence
     clean = ScaledPrior(information, np.zeros(16))
-    assert clean.scale_sentence.startswith("no error of the instrument is significant: its prior sigma is at most ")
+    assert clean.scale_sentence.startswith("the errors of the instrument are insignificant: their rms is at most ")

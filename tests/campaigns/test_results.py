@@ -144,7 +144,7 @@ def test_results_go_through_a_pool_of_processes(sweep: Any) -> None:
     recording, _ = lt.simulate("paper-workshop", seed=3)
     calibration = lt.calibrate(recording)
     recovery = lt.recover("paper-workshop-re-aimed", trials=2)
-    results = [calibration, lt.diagnose(recording), sweep, recovery]
+    results = [calibration, lt.diagnose(recording, held_out=False), sweep, recovery]
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
         assert list(pool.map(described, results)) == [described(result) for result in results]
         (again,) = pool.map(lt.calibrate, [recording])

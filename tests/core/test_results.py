@@ -139,7 +139,7 @@ def results_by_name() -> dict[str, Any]:
         "criteria": lt.evaluate(recording, calibration),
         "history": lt.history([calibration, recording]),
         "check": lt.check(recording),
-        "diagnosis": lt.diagnose(recording),
+        "diagnosis": lt.diagnose(recording, held_out=False),
         "comparison": lt.compare(recording, recording, same_instrument=True),
         "catalogue": lt.catalogue("beam-tilt", "backlash"),
     }

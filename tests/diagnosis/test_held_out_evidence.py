@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import expit
 
+import ltsim as lt
 import ltsim.diagnosis.diagnose as steps
 from ltsim.adjustment import adjust
 from ltsim.diagnosis import search
@@ -57,7 +58,7 @@ def test_an_effect_that_held_out_readings_contradict_is_improbable_and_moves_no_
     believed = diagnose(recording)
     assert believed.findings[0].evidence.p_real > 0.5
     monkeypatch.setattr(steps, "cross_validated_errors", lambda *_: CONTRADICTED)
-    doubted = diagnose(recording, held_out=True)
+    doubted = lt.diagnose(recording)  # as on the command line, by default in a small network
     assert doubted.findings
     assert all(f.evidence.p_real < 0.5 for f in doubted.findings)
     assert "predicted worse" in doubted.summary

@@ -137,10 +137,10 @@ def test_a_diagnosis_says_what_has_changed_and_since_when(tmp_path: Path) -> Non
     today = mean.copy()
     today[INDEX] += 2.0 * GUARANTEE[INDEX]
     recording, _ = network(faces=2, values=today, seed=80)
-    alone = lt.diagnose(recording)
+    alone = lt.diagnose(recording, held_out=False)
     assert alone.verdict == "consistent"
     for file in ("history", "last/calibration.json"):
-        diagnosis = lt.diagnose(recording, history=tmp_path / file)
+        diagnosis = lt.diagnose(recording, history=tmp_path / file, held_out=False)
         first = diagnosis.findings[0]
         (index,) = first.parameters
         assert (diagnosis.verdict, first.effect, index.name) == ("mismatch", "vertical-index", "vertical-index")

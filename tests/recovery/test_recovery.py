@@ -229,7 +229,7 @@ def test_a_trial_that_does_not_converge_fails() -> None:
         ("a",), ("urad",), np.zeros(1), np.ones(1), np.zeros(1), np.zeros(1), NetworkScore(1, 1, 10, 10, 10, 4.5)
     )
     failures = recovery(good, good, None).failed_checks()
-    assert failures[0].subject == "convergence"
+    assert failures[0].sentence() == "convergence fails: trials without a result = 1 (required 0)"
     assert not unit_mean_check("x", "mean", np.array([2.0, 2.1]), 0.5).passed
 
 

@@ -458,3 +458,15 @@ def test_a_calibration_with_a_corrected_error_is_not_called_consistent(tmp_path:
         assert ("The model corrects 1 error at S2, with 1 degree of freedom." in shown.summary) == bool(tests)
     assert shown.assessment == "caution"
     assert shown.next_actions[0] == "Check the SMR and the distance constant at S2; correct the wrong one."
+
+
+def test_a_rejected_calibration_sends_to_the_coordinates_of_the_diagnosis(tmp_path: Path) -> None:
+    """The first action after a misfit was to look for a scatter that the fit did not support."""
+    content = adjust(samples.recording()).model_copy(update={"fit_with_constants": None, "noise_estimated": False})
+    content = content.model_copy(update={"fit": content.fit.model_copy(update={"p_value": 1e-9})})
+    fault = CauseTest(kind="centring", acts_on="position", where=CausePlace(stations=("S2",)), statistic=99.0, dof=1)
+    diagnose = "Run ltsim diagnose to locate the disagreement of readings and model, and use its coordinates."
+    for is_in_model, place in ((True, 1), (False, 0)):
+        tests = (fault.model_copy(update={"is_in_model": is_in_model}),)
+        write_calibration(content.model_copy(update={"tests": tests}), tmp_path / str(place))
+        assert document_of_folder(tmp_path / str(place)).next_actions.index(diagnose) == place

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from ltsim.adjustment.identification.cause_selection import INFINITE_GAIN_SUBSTITUTE
+from ltsim.adjustment.identification.cause_tests import CausePlace, CauseTest
 from ltsim.campaigns.results import PairedDifference
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.recommendations import inspection_action
@@ -19,6 +20,7 @@ from ltsim.physics.effects import CATALOGUE, ORDINARY_CALIBRATION_EFFECTS
 from ltsim.reports.document_model import Section, SectionContext
 from ltsim.reports.sections.campaign import campaign_section
 from ltsim.reports.sections.diagnosis import diagnosis_section
+from ltsim.reports.sections.diagnosis_answer import evidence_lines, next_actions_after_diagnosis
 from ltsim.reports.sections.method_comparison import MethodComparison
 from tests.reports import samples
 
@@ -123,6 +125,40 @@ def test_a_wrong_reflector_constant_has_the_action_of_its_cause() -> None:
     assert inspection_action(finding("turbulence", "range-step")).startswith("Inspect S3 for the cause: ")
 
 
+def test_findings_that_held_out_readings_contradict_are_not_used(tmp_path: Path) -> None:
+    """The page recommended the coordinates `which account for the findings`, which did not contain them."""
+    content = copy.deepcopy(samples.DIAGNOSIS)
+    content["findings"][0]["evidence"] |= {"probability": 0.01, "p_same_scope": 0.02}
+    improbable = Diagnosis.model_validate_json(json.dumps(content))
+    first, second = next_actions_after_diagnosis(improbable)
+    assert first.startswith("No cause is probable: look for single wrong pointings")
+    assert second.startswith("Do not rely on the coordinates yet: targets.csv contains the coordinates of the ")
+    section = diagnosis_section(improbable, SectionContext(folder=tmp_path))
+    assert f"What to do: {first}" in section.summary
+    assert "account for the findings" not in section.terminal_text()
+    corrected = improbable.findings[0].model_copy(update={"is_corrected_before_search": True})
+    used = improbable.model_copy(update={"findings": (corrected,)})
+    assert next_actions_after_diagnosis(used)[-1].startswith("Use the coordinates in targets.csv, which account for")
+    without = improbable.model_copy(update={"findings": ()})
+    assert next_actions_after_diagnosis(without.model_copy(update={"verdict": "mismatch"})) == [first]
+    assert next_actions_after_diagnosis(without.model_copy(update={"verdict": "consistent"})) == []
+
+
+def test_evidence_without_a_fall_of_chi_square_is_not_called_one() -> None:
+    """An exchange of names 3 m apart had `chi2 falls by 509`, which was twice a gain of log evidence."""
+    exchange = finding("target-swap", "outlier").model_copy(update={"sentence": "P1 and P2 were exchanged."})
+    place = CausePlace(stations=("S3",), targets=("P1", "P2"))
+    test = CauseTest(kind="names", acts_on="position", where=place, statistic=90.0, dof=1, sentence=exchange.sentence)
+    assert any(line.startswith("log evidence of robust fits: 45.0 larger") for line in evidence_lines(exchange, [test]))
+    measured = test.model_copy(update={"p_value": 1e-9})
+    assert "chi2 falls by 90.0 for 1 parameter" in evidence_lines(exchange, [measured])
+    noise = finding("noise-level", "outlier")
+    assert "log likelihood: 45.0 larger with this noise" in evidence_lines(noise, [])
+    corrected = exchange.model_copy(update={"is_corrected_before_search": True})
+    assert "p of its test: 0.0001" in evidence_lines(corrected, [measured])
+    assert "p, corrected for the search: 0.0001" in evidence_lines(exchange, [measured])
+
+
 def prose(section: Section) -> list[str]:
     """Everything on a section that a person reads: answer, actions, notes, captions, cells."""
     return [
@@ -172,7 +208,12 @@ def test_the_comparison_of_methods_counts_and_sizes_each_sign(sizes: tuple[float
 def test_coverage_is_separate_where_the_noise_differs_from_the_declared_noise(tmp_path: Path) -> None:
     section = campaign_section(samples.campaign_folder(tmp_path / "campaign"))
     tiles = [fact.name for fact in section.key_figures if fact.name.startswith("coverage")]
-    assert tiles == ["coverage of 95 % intervals", "coverage of 95 % intervals with noise factor 2 (not declared)"]
+    assert [name.partition(";")[0] for name in tiles] == [
+        "coverage of 95 % intervals", "coverage of 95 % intervals with noise factor 2 (not declared)"
+    ]  # fmt: skip
+    assert all(name.partition("; ")[2].split(" ")[1].startswith("intervals") for name in tiles)
+    values = [fact.value for fact in section.key_figures if fact.name in tiles]
+    assert all(re.fullmatch(r"\d+\.\d %", value) for value in values), values
 
 
 def test_the_three_most_urgent_actions_are_shown() -> None:

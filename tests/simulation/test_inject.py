@@ -94,7 +94,7 @@ def test_a_swap_is_a_swap(recording: Recording) -> None:
 @pytest.mark.long
 def test_injected_effects_are_detected(recording: Recording) -> None:
     made, truth = lt.inject(recording, "target-moved", noncentrality=400.0, seed=2)
-    diagnosis = lt.diagnose(made)
+    diagnosis = lt.diagnose(made, held_out=False)
     assert diagnosis.verdict == "mismatch"
     assert list(diagnosis.findings[0].where.targets) == truth.to_json()["injected"][0]["targets"]
 

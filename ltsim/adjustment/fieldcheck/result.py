@@ -61,7 +61,8 @@ class CheckItem(Entry):
     sentence: str
     """Result of the test as a sentence with units."""
     p_value: OptionalFloat = None
-    """p-value, corrected for the number of tests; null for a test without one."""
+    """p-value, corrected for the number of tests (for an identified cause not corrected); null for a test without
+    one."""
     targets: tuple[str, ...] = ()
     """Names of the targets with the detected error."""
     rows: tuple[int, ...] = ()

@@ -1,6 +1,6 @@
 """Recommended next actions after identified causes of a misfit, and sentence on the errors that the model corrects."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 
 from ltsim.adjustment.identification.cause_tests import CauseTest
 from ltsim.core.notation import count_text, names_text
@@ -27,7 +27,7 @@ RECOMMENDATION_BY_CAUSE_KIND = {
     "reference-scale": "Check the temperature and expansion of the reference lengths, and the scale of the distances.",
     "names": "Correct the names{at_place} in the recording.",
     "unit": "Read the recording again with the right unit{at_place}.",
-    "height": "Check the heights of the instrument and of the targets{at_place}.",
+    "height": "Check the heights of the instrument and of the targets{at_place}, and whether a target moved.",
     "noise-level": "Find the cause of the scatter{at_place}, or declare this noise in setup.toml, [instrument.noise].",
 }
 """Sentence on the next action, by kind of cause. `place` is replaced by the names of the stations and targets,
@@ -129,14 +129,15 @@ def modelled_shifts(tests: Iterable[CauseTest]) -> list[CauseTest]:
     return [test for test in corrected_faults(tests) if test.sigma is not None and test.is_in_model]
 
 
-def corrections_sentence(tests: Iterable[CauseTest]) -> str:
+def corrections_sentence(tests: Iterable[CauseTest], unused_rows: Collection[int] = ()) -> str:
     """Sentences on the identified errors that the adjusted model of a result corrects, and on those that remain in it.
 
-    They are empty without identified errors.
+    They are empty without identified errors. `unused_rows` are the row numbers, from 1, of pointings that the
+    adjustment does not use.
     """
     faults = [test for test in corrected_faults(tests) if test.kind != "noise-level"]
     modelled = [test for test in faults if test.is_in_model]
-    sentences = [_remaining_error_sentence(test) for test in faults if not test.is_in_model]
+    sentences = [_uncorrected_error_sentence(test, unused_rows) for test in faults if not test.is_in_model]
     if modelled:
         places = dict.fromkeys(name for test in modelled for name in (*test.where.stations, *test.where.targets))
         place_text = f" at {names_text(list(places))}" if places else ""
@@ -148,8 +149,13 @@ def corrections_sentence(tests: Iterable[CauseTest]) -> str:
     return " ".join(sentences)
 
 
-def _remaining_error_sentence(test: CauseTest) -> str:
-    """Sentences on an identified error that remains in the coordinates of a result."""
+def _uncorrected_error_sentence(test: CauseTest, unused_rows: Collection[int]) -> str:
+    """Sentences on an identified error that the model of a result does not correct.
+
+    The error remains in the coordinates, unless all its pointings are among the `unused_rows`.
+    """
     if test.kind == "reference-value":
         return f"{test.sentence} This result still uses this value: correct it, and evaluate the recording again."
+    if test.rows and set(test.rows) <= set(unused_rows):
+        return f"{test.sentence} The coordinates do not contain this error, because these pointings are not used."
     return f"{test.sentence} This error remains in the coordinates."

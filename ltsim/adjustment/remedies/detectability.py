@@ -26,7 +26,7 @@ from ltsim.adjustment.significance import GLOBAL_TEST_LEVEL, MIN_EQUIVALENT_SQUA
 from ltsim.core.arrays import Floats, Ints, batches
 from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE, SQRT_MACHINE_EPSILON
 from ltsim.physics.effects import CATALOGUE, ORDINARY_CALIBRATION_EFFECTS
-from ltsim.physics.effects.effect import Effect, NoiseEffect, Parameter
+from ltsim.physics.effects.effect import Blunder, Effect, NoiseEffect, Parameter
 
 VariantT = TypeVar("VariantT")
 """Type of the elements of a sequence of variants of an effect (stations, targets, shape parameters)."""
@@ -257,7 +257,8 @@ class CatalogueDetectability:
     effects: tuple[EffectDetectability, ...]
     """Detectability of each effect that changes the residuals, or whose parameters the adjustment estimates."""
     undetectable_effects: tuple[str, ...]
-    """Names of effects that do not change the residuals, or that depend on data which the recording lacks."""
+    """Names of effects that do not change the residuals, or that depend on data which the recording lacks; without
+    blunders such as exchanged names, which separate tests identify."""
     detectable_effects: tuple[str, ...]
     """Names of the e effects that change the residuals."""
     explained_fractions: Floats
@@ -297,6 +298,8 @@ def catalogue_detectability(
     silent: list[str] = []
     for entry in catalogue:
         kind = entry if isinstance(entry, type) else type(entry)
+        if issubclass(kind, Blunder):
+            continue
         if kind.parameters and {p.name for p in kind.parameters} <= estimated_names:
             reports.append(calibrated_effect_detectability(adjustment, kind()))
             continue

@@ -36,7 +36,7 @@ class RangeCyclic(Effect):
 
     Size: under 1 um in a good meter, 5 to 10 um in a bad one.
     Similar to: noise that repeats. If the effect is not modelled, it biases the range zero.
-    Separate by: one reflector that is moved along a rail over one L; the modulation frequency of the data sheet.
+    Separate by: one reflector that is moved on a rail over one unit length; the modulation frequency (data sheet).
     Validity: L from 20 mm to 2 m. A network distinguishes wavelengths whose phases differ over its interval of ranges.
     The wavelength of an interferometer, 0.3 um, cannot be determined.
     Source: Rüeger 1996, Electronic Distance Measurement (unit length; zero and cyclic terms are estimated together);

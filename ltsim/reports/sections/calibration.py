@@ -173,8 +173,7 @@ def _summary_sentence(content: Calibration, agreement_text: str, targets: Path |
             f"({number_text(distance.before.mean_um)} to "
             f"{number_text(distance.after.mean_um if distance.after else None)} um)"
         )
-        shifts = modelled_shifts(content.tests)
-        if shifts:
+        if shifts := modelled_shifts(content.tests):
             sentence += f", by the calibration and the correction of {count_text(len(shifts), 'error')}"
     if content.outliers:
         n_rejected = sum(outlier.excluded for outlier in content.outliers)
@@ -187,7 +186,8 @@ def _summary_sentence(content: Calibration, agreement_text: str, targets: Path |
             if n_rejected
             else ""
         )
-    sentence += f". {corrections_sentence(content.tests)}".rstrip() + _larger_noise_sentence(content)
+    unused_rows = [outlier.row for outlier in content.outliers if outlier.pointing_excluded]
+    sentence += f". {corrections_sentence(content.tests, unused_rows)}".rstrip() + _larger_noise_sentence(content)
     accuracy = f" {target_uncertainty_sentence(read_targets(targets)[2])}" if targets is not None else ""
     return f"{sentence}{accuracy}".rstrip()
 
@@ -284,8 +284,7 @@ def _reference_value_blocks(content: Calibration) -> list[TableBlock]:
 def _next_actions(content: Calibration, *, is_accepted: bool) -> list[str]:
     """Next actions, the most urgent first; `is_accepted` is True if the calibration can be used."""
     actions = recommendations_for_causes(corrected_faults(content.tests))
-    remaining = [o for o in content.outliers if not o.excluded]
-    if remaining:
+    if remaining := [o for o in content.outliers if not o.excluded]:
         reading_names = names_text([f"{o.station} to {o.target} ({o.observable}, row {o.row})" for o in remaining], 3)
         actions.append(f"Measure again, or reject with {option_text('robust=True')}: {reading_names}.")
     if content.fit_with_constants is not None:
@@ -296,7 +295,9 @@ def _next_actions(content: Calibration, *, is_accepted: bool) -> list[str]:
         and p_value < TWO_SIDED_GLOBAL_TEST_LEVEL / 2
         and not (content.noise_estimated or _fits_with_estimated_constants(content) or _has_explaining_noise(content))
     ):
-        actions.append("Run ltsim diagnose to locate the disagreement of readings and model.")
+        action = "Run ltsim diagnose to locate the disagreement of readings and model, and use its coordinates."
+        has_unmodelled_fault = any(not test.is_in_model for test in corrected_faults(content.tests))
+        actions.insert(0 if has_unmodelled_fault else len(actions), action)
     if content.verdict.is_sigma0_credible and not (content.noise or _fits_with_estimated_constants(content)):
         actions.append(f"If the noise is not known, estimate it from the data: {option_text('noise_from_data=True')}.")
     measurements = dict.fromkeys(e.measurement for e in content.undetermined if e.measurement)

@@ -155,13 +155,14 @@ def _summary_sentence(
         trials_text += f" ({_enumeration_text([factor_title(f) for f in factors])})" if factors else ""
     mean_texts = []
     for method in manifest.methods:
+        method_text = f"with {method} " if len(manifest.methods) > 1 else ""
         means = [s for s in summaries.get(SUMMARY_IMPROVEMENT_COLUMN, []) if s.method == method]
         if len(means) == 1:
-            mean_texts.append(f"{method} by {_mean_interval_text(means[0])} %")
+            mean_texts.append(f"{method_text}by {_mean_interval_text(means[0])} %")
         elif means:
             ends = dict.fromkeys(number_text(limit(s.mean for s in means)) for limit in (min, max))
-            mean_texts.append(f"{method} by {' to '.join(ends)} %")
-    text = f"{trials_text}, calibration reduces the disagreement of the stations in distances on average: "
+            mean_texts.append(f"{method_text}by {' to '.join(ends)} %")
+    text = f"{trials_text}, calibration reduces the disagreement of the stations in distances, on average "
     text += f"{'; '.join(mean_texts)}."
     return (text if mean_texts else f"{trials_text} with {', '.join(manifest.methods)}.") + _extreme_cells_sentence(
         results, summaries

@@ -38,9 +38,10 @@ def coverage_key_figures(results: CampaignResults) -> list[KeyFigure]:
     for text, coverages in sorted(coverages_by_kind.items(), key=lambda group: group[0]):
         shares, n_intervals = [share for share, _ in coverages], sum(trials for _, trials in coverages)
         mean_share = sum(share * trials for share, trials in coverages) / n_intervals
-        range_text = f"; for single parameters and cells {100 * min(shares):.1f} to {100 * max(shares):.1f} %"
-        value = f"{100 * mean_share:.1f} % of {n_intervals} intervals" + (range_text if len(coverages) > 1 else "")
-        facts.append(KeyFigure("coverage of 95 % intervals" + (f" with {text} (not declared)" if text else ""), value))
+        range_text = f"; single parameters and cells: {100 * min(shares):.1f} to {100 * max(shares):.1f} %"
+        name = "coverage of 95 % intervals" + (f" with {text} (not declared)" if text else "")
+        name += f"; {n_intervals} intervals" + (range_text if len(coverages) > 1 else "")
+        facts.append(KeyFigure(name, f"{100 * mean_share:.1f} %"))
     return facts
 
 

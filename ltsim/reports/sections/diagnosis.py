@@ -9,28 +9,23 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ltsim.adjustment.identification.cause_selection import INFINITE_GAIN_SUBSTITUTE
 from ltsim.calibration.schema import RESIDUALS_TABLE
-from ltsim.core.notation import MISSING_TEXT, number_text
+from ltsim.core.notation import MISSING_TEXT
 from ltsim.core.probability import p_value_text, two_sided_p_value
 from ltsim.diagnosis.diagnosis import Diagnosis
-from ltsim.diagnosis.recommendations import inspection_action, is_name_exchange
+from ltsim.diagnosis.recommendations import is_name_exchange
 from ltsim.diagnosis.schema import (
     BASELINE_RESIDUALS_TABLE,
     DIAGNOSED_TARGETS_TABLE,
     UNDETECTABLE_TABLE,
     Finding,
-    FindingScope,
     Misfit,
 )
 from ltsim.diagnosis.sentences import (
-    effect_title_in_sentence,
     finding_title,
-    percent_text,
     significant_instrument_constant_texts,
 )
 from ltsim.physics.effects import effect_title, parameter_text
-from ltsim.physics.effects.target_moved import TargetMoved, moved_coordinates_sentence
 from ltsim.recordings.result_file import require_same_recording
 from ltsim.reports import figures
 from ltsim.reports.document_model import (
@@ -46,9 +41,16 @@ from ltsim.reports.document_model import (
     entries_table_blocks,
     table_blocks,
 )
-from ltsim.reports.formatting import CORRECTIONS_NOTE, capitalised_sentence, count_text, names_text
+from ltsim.reports.formatting import CORRECTIONS_NOTE, capitalised_sentence, names_text
 from ltsim.reports.residuals import Residuals
-from ltsim.reports.sections.diagnosis_answer import diagnosis_answer, parameter_meanings_note
+from ltsim.reports.sections.diagnosis_answer import (
+    diagnosis_answer,
+    evidence_lines,
+    finding_scope_text,
+    next_actions_after_diagnosis,
+    parameter_meanings_note,
+    targets_note,
+)
 from ltsim.reports.sections.network import (
     AdjustmentsWithoutAndWithParameters,
     adjustments_without_and_with_parameters,
@@ -67,12 +69,6 @@ MAX_MARKED_TARGETS = 12
 """Number of targets of a finding above which they are not marked on the floor plan."""
 MIN_REPORTED_TARGET_ERROR_UM = 0.1
 """Smallest error of targets [um] for which an undetectable effect is listed; smaller errors are negligible."""
-MIN_ADVISED_ALTERNATIVE_PROBABILITY = 0.05
-"""Smallest probability of an alternative cause for which a measurement to exclude it is advised; by convention 5 %."""
-MAX_ACTIONS_BEFORE_USE = 2
-"""Largest number of next actions in addition to the use of the coordinates."""
-PLACE_COVARIATE = "place"
-"""Covariate of effects that differ between stations or targets, which the text of a scope names anyway."""
 MIN_CURVE_POINTS = 3
 """Smallest number of points of an estimated curve that is drawn over its covariate."""
 
@@ -105,12 +101,8 @@ def diagnosis_section(content: Diagnosis, context: SectionContext) -> Section:
     if content.findings:
         blocks.append(NoteBlock("Details", capitalised_sentence(content.summary)))
     for finding_number, finding in enumerate(content.findings, start=1):
-        blocks += _finding_blocks(
-            finding, finding_number, capitalised_sentence(content.summary), adjustments, (before, after)
-        )
-    blocks += target_tables(
-        context.companion_file(DIAGNOSED_TARGETS_TABLE.file, content), note="Adjusted with the findings in the model."
-    )
+        blocks += _finding_blocks(finding, finding_number, content, adjustments, (before, after))
+    blocks += target_tables(context.companion_file(DIAGNOSED_TARGETS_TABLE.file, content), note=targets_note(content))
     model_text = ", with the findings in the model" if content.findings else ""
     if constants := significant_instrument_constant_texts(content.instruments):
         blocks.append(
@@ -135,7 +127,7 @@ def diagnosis_section(content: Diagnosis, context: SectionContext) -> Section:
     recording_title = (recording.setup.title if recording else "") or (
         content.recording.title if content.recording else ""
     )
-    next_actions, simulation_notice = _next_actions(content), ""
+    next_actions, simulation_notice = next_actions_after_diagnosis(content), ""
     if truth is not None and truth.effects:
         injected = names_text(
             [f"{effect_title(a.effect.name)} ({effect_place_text(a.effect)})" for a in truth.applied_effects]
@@ -149,33 +141,6 @@ def diagnosis_section(content: Diagnosis, context: SectionContext) -> Section:
         n_open_blocks=n_open_blocks, n_side_by_side_blocks=n_side_by_side_blocks, n_terminal_blocks=n_open_blocks,
         next_actions=next_actions, simulation_notice=simulation_notice,
     )  # fmt: skip
-
-
-def _next_actions(content: Diagnosis) -> list[str]:
-    """Next actions: a measurement that separates alternative causes, parts to inspect, coordinates to use."""
-    if not content.findings:
-        return []
-    actions: list[str] = []
-    for finding in content.findings:  # in their order, so that the actions begin with those of the first finding
-        is_ambiguous = finding.separate_by and _has_probable_alternative(finding)
-        actions += [capitalised_sentence(finding.separate_by)] if is_ambiguous else []
-        actions.append(inspection_action(finding))
-    use_sentence = "Use the coordinates in targets.csv, which account for the findings."
-    moved_targets = [
-        name for finding in content.findings if finding.effect == TargetMoved.name for name in finding.where.targets
-    ]
-    use_sentence += f" {moved_coordinates_sentence(moved_targets)}" if moved_targets else ""
-    return [
-        *list(dict.fromkeys(actions))[:MAX_ACTIONS_BEFORE_USE],
-        use_sentence,
-    ]
-
-
-def _has_probable_alternative(finding: Finding) -> bool:
-    """True if another effect may explain the finding and is probable enough to advise a measurement to exclude it."""
-    return any(
-        e.effect != "unknown" and e.probability >= MIN_ADVISED_ALTERNATIVE_PROBABILITY for e in finding.equivalents
-    )
 
 
 def _key_figures(content: Diagnosis) -> list[KeyFigure]:
@@ -231,24 +196,25 @@ def _residuals_before_and_after(
 def _finding_blocks(
     finding: Finding,
     finding_number: int,
-    summary: str,
+    content: Diagnosis,
     adjustments: AdjustmentsWithoutAndWithParameters | None,
     residuals: tuple[Residuals | None, Residuals | None],
 ) -> list[Block]:
     """Blocks of a finding: sentence, figure, floor plan, table of estimates, evidence.
 
-    The sentence is omitted if `summary` (summary of the page) contains it. `adjustments` are those without and with
-    instrument parameters, from which the floor plan is drawn.
+    The sentence is omitted if the summary of the diagnosis `content` contains it. `adjustments` are those without and
+    with instrument parameters, from which the floor plan is drawn.
     """
     name = finding_title(finding)
-    sentence = finding.sentence or f"{name} {_finding_scope_text(finding.where)}"
+    sentence = finding.sentence or f"{name} {finding_scope_text(finding.where)}"
     separation_sentence = (
         f" To separate the finding from its rivals: {finding.separate_by.rstrip('.')}." if finding.separate_by else ""
     )
     formula_is_new = finding.formula not in finding.sentence
     formula_sentence = f" Proposed formula: {finding.formula}." if finding.formula and formula_is_new else ""
     text = f"{sentence.rstrip('.')}.{formula_sentence}{separation_sentence}"
-    blocks: list[Block] = [] if text in summary else [NoteBlock(f"Finding {finding_number}: {name}", text, "bad")]
+    is_in_summary = text in capitalised_sentence(content.summary)
+    blocks: list[Block] = [] if is_in_summary else [NoteBlock(f"Finding {finding_number}: {name}", text, "bad")]
     draw_figure = finding_figure(finding, *residuals)
     if draw_figure is not None:
         text = "Residuals without the finding (left) and with the finding in the model (right)."
@@ -256,17 +222,7 @@ def _finding_blocks(
             text = f"Estimated change of the {finding.carrier} over {finding.curve.covariate}."
         blocks.append(PictureBlock(f"Effect of finding {finding_number}", draw_figure, text))
     blocks += _finding_place_blocks(finding, finding_number, adjustments)
-    evidence, others = finding.evidence, finding.equivalents
     renamed_parameters = [p.model_copy(update={"name": parameter_text(p.name)}) for p in finding.parameters]
-    lines = [
-        f"where: {_finding_scope_text(finding.where)}",
-        "chi2: its fall was not computed, because every compared adjustment contains this effect"
-        if evidence.chi2_drop >= INFINITE_GAIN_SUBSTITUTE
-        else f"chi2 falls by {number_text(evidence.chi2_drop)} for {count_text(evidence.parameters, 'parameter')}",
-        *([] if evidence.p_value is None else [f"p, corrected for the search: {p_value_text(evidence.p_value)}"]),
-        f"probability: {percent_text(evidence.probability)}",
-        *(f"alternative: {effect_title_in_sentence(e.effect)}, {100 * e.probability:.2g} %" for e in others),
-    ]
     blocks += entries_table_blocks(
         f"Finding {finding_number} in figures",
         renamed_parameters,
@@ -275,7 +231,7 @@ def _finding_blocks(
         "unit",
         note=parameter_meanings_note(finding),
     )
-    return [*blocks, BulletListBlock(f"Evidence of finding {finding_number}", lines)]
+    return [*blocks, BulletListBlock(f"Evidence of finding {finding_number}", evidence_lines(finding, content.tests))]
 
 
 def finding_figure(
@@ -340,22 +296,6 @@ def _finding_place_blocks(
     area = {axis: (p.value, 2.0 * p.sigma) for axis, p in centre_parameters.items()}
     figure = partial(figures.marked_floor_plans.marked_floor_plan, workshop, marked_names, pairs, area)
     return [PictureBlock(f"Place of finding {finding_number}", figure, caption)]
-
-
-def _finding_scope_text(scope: FindingScope) -> str:
-    """Text of the observables, instruments, stations and targets on which a finding acts, and of its covariates."""
-    place_texts = [
-        f"{word} {names_text(list(names))}"
-        for word, names in (
-            ("in", scope.observables),
-            ("of instrument", scope.instruments),
-            ("at station", scope.stations),
-            ("at target", scope.targets),
-            ("along", [name for name in scope.covariates if name != PLACE_COVARIATE]),
-        )
-        if names
-    ]
-    return ", ".join(place_texts) or "everywhere"
 
 
 def _misfit_tables(content: Diagnosis) -> list[TableBlock]:

@@ -4,7 +4,7 @@ from functools import partial
 
 import numpy as np
 
-from ltsim.core.notation import number_text
+from ltsim.core.notation import names_text, number_text
 from ltsim.core.units import MILLIMETRE
 from ltsim.planning.plan_entries import PlannedLayoutEntry
 from ltsim.planning.result import Plan
@@ -25,6 +25,13 @@ from ltsim.reports.document_model import (
 from ltsim.reports.formatting import QUALITY_MEASURE_BY_GOAL, duration_text, tracker_preset_names_text
 from ltsim.reports.sections.network import scene_block, undetermined_combination_tables
 from ltsim.simulation.scenario import Scenario, load_scenario
+
+UNDETECTABLE_EFFECTS_TEXT = (
+    "These effects change no residual of this layout, or depend on data that the plan does not contain, such as a "
+    "reference length. Blunders (exchanged names, wrong units, confused faces) have no smallest size: check, adjust, "
+    "calibrate and diagnose identify them by separate tests."
+)
+"""Explanation of the list of undetectable effects of a plan."""
 
 
 def plan_section(content: Plan, context: SectionContext) -> Section:
@@ -196,5 +203,6 @@ def _detectability_blocks(content: Plan) -> list[Block]:
     note = "Fraction of the residuals from the first effect that the second effect explains."
     blocks += table_blocks("Effects that are hard to separate", content.table("confusable"), note=note)
     if content.undetectable_effects:
-        blocks.append(BulletListBlock("Undetectable effects", content.undetectable_effects))
+        effect_names = names_text(content.undetectable_effects, len(content.undetectable_effects))
+        blocks.append(NoteBlock("Undetectable effects", f"{effect_names}. {UNDETECTABLE_EFFECTS_TEXT}"))
     return blocks

@@ -68,6 +68,11 @@ UNDETECTABLE_NOTE = (
 """Note below a table of undetectable errors."""
 MAX_BUDGET_BARS = 40
 """Largest number of results in a figure of uncertainty budgets; only the first results are drawn."""
+CORRECTED_P_VALUE_NOTE = (
+    "p is the p-value of one test multiplied by the number of tests of this check, at most 1. It is therefore larger "
+    "than the p-value of the same network in ltsim adjust, which makes one test."
+)
+"""Note below the table of passed tests of a field check."""
 MAX_LISTED_TESTS = 200
 """Largest number of acceptance tests in a table; if there are more, the tests nearest to their limits are listed."""
 
@@ -80,10 +85,11 @@ def check_section(content: Check, context: SectionContext) -> Section:
         caption += " Rings: readings as measured, on which the failed causes were decided; dots: corrected for them."
     blocks: list[Block] = [] if file is None else [PictureBlock("All readings", lambda: read_text(file), caption)]
     fields = ("station", "kind=test", "sentence=result", "targets", "p_value")
-    for title, passed in (("Tests failed", False), ("Tests passed", True)):
-        blocks += entries_table_blocks(
-            title, [i for i in content.items if i.passed is passed], *fields, is_foldable=False
-        )
+    for title, passed, note in (("Tests failed", False, ""), ("Tests passed", True, CORRECTED_P_VALUE_NOTE)):
+        shown_items = [i for i in content.items if i.passed is passed]
+        has_p_values = any(i.p_value is not None for i in shown_items)
+        note = note if has_p_values else ""
+        blocks += entries_table_blocks(title, shown_items, *fields, note=note, is_foldable=False)
     failed = sum(not item.passed for item in content.items)
     facts = [KeyFigure("tests", str(len(content.items))), KeyFigure("failed", str(failed), assessment_of(not failed))]
     blocks = [*blocks[1:2], *blocks[:1], *blocks[2:]] if failed and file else blocks

@@ -6,7 +6,11 @@ from typing import get_args
 
 from ltsim.adjustment.identification.cause_tests import CausePlace, CauseTest
 from ltsim.adjustment.identification.hypothesis import CauseKind
-from ltsim.adjustment.identification.recommendations import recommendation_for_cause, recommendations_for_causes
+from ltsim.adjustment.identification.recommendations import (
+    corrections_sentence,
+    recommendation_for_cause,
+    recommendations_for_causes,
+)
 
 
 def cause(kind: str, acts_on: str = "distance", estimate: float = 1.0) -> CauseTest:
@@ -38,3 +42,14 @@ def test_noise_smaller_than_declared_is_no_fault() -> None:
     assert not quiet.is_fault and loud.is_fault
     assert recommendations_for_causes([quiet, loud, again]) == [recommendation_for_cause(loud)]
     assert not cause("names").model_copy(update={"accepted": False}).is_fault
+
+
+def test_an_error_whose_pointings_are_not_used_is_not_in_the_coordinates() -> None:
+    """Of an exchange, one sentence said that its pointings are not used, another that it remains in the coordinates."""
+    exchange = cause("names", "position")
+    exchange = exchange.model_copy(update={"is_in_model": False, "sentence": "T1 is T2.", "rows": (4, 9)})
+    assert corrections_sentence([exchange]) == "T1 is T2. This error remains in the coordinates."
+    assert corrections_sentence([exchange], [4]) == corrections_sentence([exchange])
+    assert corrections_sentence([exchange], [9, 4, 2]) == (
+        "T1 is T2. The coordinates do not contain this error, because these pointings are not used."
+    )

@@ -162,7 +162,7 @@ class Results:
     @classmethod
     def of_recording(cls, recording: Recording) -> Results:
         calibration = lt.calibrate(recording, advise=False)
-        return cls(lt.check(recording), lt.adjust(recording), calibration, lt.diagnose(recording))
+        return cls(lt.check(recording), lt.adjust(recording), calibration, lt.diagnose(recording, held_out=False))
 
     def first_places(self) -> dict[str, Place]:
         """Place of the first cause that each verb with coordinates accepts."""

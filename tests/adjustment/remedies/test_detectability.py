@@ -16,6 +16,7 @@ from ltsim.adjustment.remedies.detectability import (
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.adjustment.significance import GLOBAL_TEST_LEVEL, TEST_POWER
 from ltsim.physics.effects import CATALOGUE, ORDINARY_CALIBRATION_EFFECTS
+from ltsim.physics.effects.effect import Blunder
 from ltsim.physics.effects.elevation_eccentricity import ElevationEccentricity
 from ltsim.physics.effects.head_sag import HeadSag
 from ltsim.physics.effects.noise_level import NoiseLevel
@@ -122,3 +123,12 @@ def test_likeness_is_whole_for_itself_and_small_for_strangers() -> None:
         s.name for s in detectability.effects if any(c.size for c in s.projected_basis)
     )
     assert all(share > 0.9 for _, _, share in detectability.confusable_pairs())
+
+
+def test_blunders_are_not_called_undetectable() -> None:
+    """A plan listed exchanged names as undetectable, although `check` identifies them."""
+    report = catalogue_detectability(INFORMATION.adjustment, CATALOGUE)
+    blunders = {kind.name for kind in CATALOGUE if issubclass(kind, Blunder)}
+    assert blunders == {"target-swap", "wrong-unit", "face-confusion"}
+    assert "dead-path" in report.undetectable_effects
+    assert not blunders & {*report.undetectable_effects, *(entry.name for entry in report.effects)}

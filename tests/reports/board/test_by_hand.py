@@ -22,7 +22,7 @@ from ltsim.planning.tolerances import check_tolerances
 from ltsim.reports.board.board import MovableLayout
 from ltsim.scene.visibility import InvisibilityReason
 from tests.planning.test_hall import HALL, points_csv
-from tests.reports.board.tab import opened
+from tests.reports.board.tab import Tab, opened
 from tests.reports.browser import find_browser
 
 TOLERANCES = '[[goal.tolerances]]\ngroup = "machine"\ntolerance_mm = 0.05\n[search]'
@@ -198,6 +198,22 @@ COVERED = """(() => { stations[1].position_mm = [stations[0].position_mm[0] - 12
 """Pairs of names that cover each other, the second station 1.2 m beside the first."""
 
 
+CUT_OFF = """[...document.querySelectorAll("table, td button, td input, #facts > *")].filter(
+  element => element.getBoundingClientRect().right > document.querySelector("main").getBoundingClientRect().right + 1
+).map(element => element.outerHTML.slice(0, 60))"""
+"""Tables, buttons and fields that reach beyond the right edge of the page."""
+
+
+def cut_off_by_width(tab: Tab) -> dict[int, list[str]]:
+    """Beginnings of the elements that reach beyond the page, by the width of the window."""
+    cut_off = {}
+    for width in (390, 900, 1030, 1280):
+        metrics = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+        tab.call("Emulation.setDeviceMetricsOverride", **metrics)
+        cut_off[width] = tab.value(CUT_OFF)
+    return cut_off
+
+
 LATE_VERDICT = """(() => {
   let answer; const late = new Promise(resolve => { answer = resolve; }), present = post;
   post = endpoint => endpoint === "verdict" ? late : present(endpoint);
@@ -253,6 +269,7 @@ def test_a_dragged_station_changes_the_accuracy_on_the_page(hall: Path, tmp_path
             tab.until("!busy && document.querySelector('#saved').textContent === ''")
             assert tab.value("stations") == before[3] != saved
             assert tab.value(COVERED) == []
+            assert cut_off_by_width(tab) == {390: [], 900: [], 1030: [], 1280: []}
             assert not [line for line in tab.console_lines if "hashes" not in line and '"rendering"' not in line]
         _, scenario = load_plan(tmp_path / "moved" / "plan.toml")
         assert list(scenario.stations["S1"].position_mm) == after[2]
