@@ -141,7 +141,9 @@ def _load_calibration(path: Path) -> Calibration:
     """Calibration of the instrument; raises InputError for a file of several instruments."""
     calibration = read_calibration(path)
     if len(calibration.instruments) > 1:
-        raise InputError(f"{path}: has {len(calibration.instruments)} instruments; an acceptance test needs one")
+        raise InputError(
+            f"{path}: the calibration has {len(calibration.instruments)} instruments; an acceptance test needs one"
+        )
     return calibration
 
 

@@ -123,7 +123,7 @@ def run_campaign(
     taken = [] if store.has_campaign or force else store.conflicting_files(sources)
     if taken:
         raise InputError(
-            f"{folder}: contains {', '.join(taken)} but no campaign; name another {option_text('out')}, "
+            f"{folder}: the folder contains {', '.join(taken)} but no campaign; name another {option_text('out')}, "
             f"or replace them with {option_text('force=True')}"
         )
     chosen_workers = workers or WorkerSettings()
@@ -211,7 +211,7 @@ def _extended_campaign(
     """
     if not resume:
         raise InputError(
-            f"{store.folder}: holds a campaign; continue it with {option_text('resume=True')}, "
+            f"{store.folder}: the folder holds a campaign; continue it with {option_text('resume=True')}, "
             f"name another {option_text('out')}, or start again with {option_text('force=True')}"
         )
     manifest = store.manifest()
@@ -229,15 +229,17 @@ def _extended_campaign(
                 "the scenario"
             ]
             raise InputError(
-                f"{file}: changed since this campaign started ({', '.join(changed)}); its rows in {store.folder} stay: "
-                f"continue with {store.folder / CAMPAIGN_FILE_NAME}, or start again with another {option_text('out')}"
+                f"{file}: the file was changed since this campaign started ({', '.join(changed)}); "
+                f"its rows in {store.folder} stay: continue with {store.folder / CAMPAIGN_FILE_NAME}, or start "
+                f"again with another {option_text('out')}"
             )
         remaining.remove(same)
         ordered.append(same)
     if [*manifest.cells[0].levels] != [*cells[0].levels]:
         raise InputError(
-            f"{file}: varies {', '.join(cells[0].levels) or 'nothing'}, but the campaign in {store.folder} varies "
-            f"{', '.join(manifest.cells[0].levels) or 'nothing'}: a different factor needs another {option_text('out')}"
+            f"{file}: the file varies {', '.join(cells[0].levels) or 'nothing'}, but the campaign in {store.folder} "
+            f"varies {', '.join(manifest.cells[0].levels) or 'nothing'}: "
+            f"a different factor needs another {option_text('out')}"
         )
     statistics = tuple(dict.fromkeys((*before.get("statistics", ()), *campaign.statistics)))
     extension = {"trials": max(campaign.trials, manifest.trials), "statistics": statistics}

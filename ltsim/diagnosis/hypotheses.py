@@ -50,7 +50,7 @@ class Hypothesis:
     def is_catalogued(self) -> bool:
         """True if the hypothesis is a catalogue effect, False for an empirical law outside the catalogue.
 
-        An empirical law describes an error as a function of covariates such as time.
+        An empirical law is an error as a function of covariates.
         """
         return self.name != "unknown"
 
@@ -119,8 +119,7 @@ class EffectModel:
     def discrepancy_penalty(self) -> float:
         """Additional log evidence required of a further effect, because the function of an empirical law is imperfect.
 
-        It is 0 for a model with catalogue effects only. An empirical law describes an error as a function of covariates
-        such as time.
+        It is 0 for a model with catalogue effects only. An empirical law is an error as a function of covariates.
         """
         if all(h.is_catalogued for h in self.hypotheses):
             return 0.0
@@ -173,7 +172,7 @@ class HypothesisRanking:
         """Hypotheses with the largest evidence: one of each catalogue effect, and one law of each response.
 
         The response is the quantity that an empirical law changes. The order is that of the ranking. An empirical law
-        describes an error as a function of covariates such as time.
+        is an error as a function of covariates.
         """
         first: dict[tuple[str, str], Hypothesis] = {}
         for hypothesis in self.hypotheses:

@@ -58,7 +58,7 @@ class PointingPartition:
     """Partition of the pointings into cells: pointings of the same places (stations, targets or instruments).
 
     A sum over the pointings of a place, where empirical laws act, is a sum over the cells of the place. An empirical
-    law describes an error as a function of covariates such as time.
+    law is an error as a function of covariates.
     """
 
     pointing_order: Ints
@@ -74,7 +74,7 @@ class PointingPartition:
     def from_places(cls, places: Sequence[LawPlace], n_pointings: int) -> PointingPartition:
         """Partition of `n_pointings` pointings by the places (stations, targets or instruments) of empirical laws.
 
-        An empirical law describes an error as a function of covariates such as time.
+        An empirical law is an error as a function of covariates.
         """
         is_inside = np.zeros((len(places), n_pointings), dtype=bool)
         for here, place in zip(is_inside, places, strict=True):
@@ -203,8 +203,8 @@ class LawBatch:
         """Empirical laws with the largest evidence at each place, log of the summed evidence of all, and null values.
 
         A place is the stations, targets or instruments where a law acts. The null values (trials,) are the log of the
-        summed evidence for each simulated recording (trial) of the null ensemble. An empirical law describes an error
-        as a function of covariates such as time.
+        summed evidence for each simulated recording (trial) of the null ensemble. An empirical law is an error as a
+        function of covariates.
         """
         count, size = len(self.regressors), self.regressors[0].n_columns
         products = size * self.whitened_response_designs[0, 0].size * len(self.places)
@@ -265,8 +265,8 @@ class LawBatch:
         entry has the eigenvalues (P, C, d, c k) and matrices (P, C, d, c k, c k); the product of such a matrix with the
         scores of a law gives its scores along the eigenvectors. There are P places (stations and targets where a law
         acts), C responses (quantities that it changes) with c components, and d regressors with k columns in
-        `regressor_range`. `gram` has the shape (P, C, d, c k, c k). An empirical law describes an error as a function
-        of covariates such as time.
+        `regressor_range`. `gram` has the shape (P, C, d, c k, c k). An empirical law is an error as a function of
+        covariates.
         """
         transforms = []
         for spread in (spread[regressor_range] for spread in self._prior_sigmas):
@@ -352,8 +352,8 @@ def evaluate_law_batches(
 ) -> list[tuple[list[ScreenedLaw], float, Floats]]:
     """Best laws, log of the summed evidence, and null values (trials,) of each batch of laws, in the order of batches.
 
-    An empirical law describes an error as a function of covariates such as time. The null values are the log of the
-    summed evidence in simulated recordings without effects (trials).
+    An empirical law is an error as a function of covariates. The null values are the log of the summed evidence in
+    simulated recordings without effects (trials).
     """
     by_columns: dict[int, list[int]] = {}
     for i, batch in enumerate(law_batches):

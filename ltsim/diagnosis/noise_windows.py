@@ -212,7 +212,7 @@ class NoiseWindows(GroupNoiseHypothesis):
     def _log_evidence_of_effect(self, effect: VarianceFunction, residual: Floats, redundancy: Floats) -> float:
         """Log evidence of a noise hypothesis with given time windows and place, averaged over variance factors.
 
-        A noise hypothesis says that the noise of some readings differs from the declared noise.
+        A noise hypothesis is a changed noise.
         """
         space = self.residual_space
         added = (effect.variance(space.sightings, space.reading_sigmas, np.ones(1)) / space.reading_sigmas**2)[

@@ -288,7 +288,7 @@ class Injector:
         lengths = self.reference_length_change(effect, parameter_values)
         if parameter_values.any() and not (np.nan_to_num(change).any() or lengths.any()):
             raise ModelError(
-                f"{effect_specification}: changes no reading; give measured stations or targets, and a time before the "
+                f"{effect_specification} changes no reading; give measured stations or targets, and a time before the "
                 "last of their readings"
             )
         if lengths.any():

@@ -148,5 +148,5 @@ def test_damaged_files_get_one_sentence(name: str, content: bytes, message: str,
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"gone\.stl: cannot be read"):
+    with pytest.raises(InputError, match=r"gone\.stl: the file cannot be read"):
         read_cad_file(tmp_path / "gone.stl", "mm")

@@ -206,7 +206,7 @@ def read_reflector_bench(path: Path, *, probe_direction: float, length_sigma: fl
     """
     text = read_text(path)
     if text.count("\n") > MAX_RESULT_LIST_ENTRIES:  # the result has an entry for each row
-        message = f"has more rows than the limit of {MAX_RESULT_LIST_ENTRIES}; average or remove rows"
+        message = f"the file has more rows than the limit of {MAX_RESULT_LIST_ENTRIES}; average or remove rows"
         raise RecordError(message, file=path)
     angle, length, probe = BENCH_TABLE.parse_csv(text, path).float_array(*BENCH_TABLE.header).T
     lost = np.flatnonzero(~np.isfinite(angle))
@@ -215,7 +215,7 @@ def read_reflector_bench(path: Path, *, probe_direction: float, length_sigma: fl
     for what, column, fewest in (("length_um", length, MIN_BENCH_LENGTHS), ("probe_um", probe, MIN_PROBE_READINGS)):
         different = len(np.unique(np.round(angle[np.isfinite(column)] % 360.0, 3)))
         if different < fewest:
-            raise RecordError(f"has values of {what} at {different} angles, expected {fewest} or more", file=path)
+            raise RecordError(f"{what} has values at {different} angles, expected {fewest} or more", file=path)
     measured, probed = np.isfinite(length), np.isfinite(probe)
     return ReflectorBenchReadings(
         table_angles_of_lengths=angle[measured] * DEGREE,

@@ -338,7 +338,7 @@ def _make_recording(network: GamaNetwork) -> Recording:
         message = "contains height differences or vectors without pointings, expected readings of instruments too"
         raise RecordError(f"{message}; gama-local adjusts such a network", file=network.file)
     if not pointings and skipped:
-        raise RecordError(f"contains no pointings, and {'; '.join(skipped)}", file=network.file)
+        raise RecordError(f"the file contains no pointings, and {'; '.join(skipped)}", file=network.file)
     network.notes += skipped
     stations = {
         name: Station(

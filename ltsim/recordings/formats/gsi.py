@@ -199,7 +199,9 @@ class _GsiFileProperties:
         ):
             raise self.last_block.location.error("the last line has no line break and is incomplete")
         if self.has_staff_readings and not self.has_directions:
-            raise RecordError("is the file of a level: it has staff readings (33) and no directions (21)", file=path)
+            raise RecordError(
+                "the file comes from a level: it has staff readings (33) and no directions (21)", file=path
+            )
         return None if self.has_stations else self.code_of_first_block_with_height or self.code_of_first_block_with_name
 
 

@@ -92,7 +92,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     """
     blocks = [block for block in _read_setup_sections(path) if block.rows]
     if not blocks:
-        raise RecordError("contains no block of observations", file=path)
+        raise RecordError("the file contains no block of observations", file=path)
     names = _station_names(blocks)
     active_rows = [[row for row in b.rows[1:] if b.cell(row, "Active").lower() != "no"] for b in blocks]
     report_notes, n_inactive = (

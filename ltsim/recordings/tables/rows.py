@@ -77,7 +77,7 @@ def read_pointing_table(
             if joined_table.unread_lines
             else ""
         )
-        raise RecordError(f"contains no pointings{unread or ' below its header'}", file=file)
+        raise RecordError(f"the file contains no pointings{unread or ' below its header'}", file=file)
     joined_table.pointings = join_pointings(parts)
     joined_table.columns = [replace(c, unit=joined_table.cell_units.get(c.title, c.unit)) for c in joined_table.columns]
     return joined_table
@@ -161,7 +161,7 @@ class _SheetReader:
         self.n_headers += 1
         if self.n_headers > MAX_TABLE_HEADERS:
             raise SourceLocation(self.sheet.file, row).error(
-                f"holds more than {MAX_TABLE_HEADERS} headers, the limit for reading"
+                f"the file holds more than {MAX_TABLE_HEADERS} headers, the limit for reading"
             )
         if self.hints.columns is None:
             require_readable_units(columns, SourceLocation(self.sheet.file, row))
