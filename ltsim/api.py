@@ -191,8 +191,8 @@ def convert(
     format, hints
         Format and interpretation of the source, as for `read`.
     every : int
-        N to write only every N-th pointing from a station to a target in one face. Long monitoring recordings contain
-        more pointings than a network needs.
+        Number N: only every N-th pointing from a station to a target in one face is written. Long monitoring recordings
+        contain more pointings than a network needs.
 
     Returns
     -------

@@ -46,19 +46,16 @@ class ScreenedLaw(NamedTuple):
     place: LawPlace
     """Stations, targets or instruments where the empirical law (error as a function of covariates) acts."""
     log_evidence: float
-    """Approximate log evidence of the empirical law (error as a function of covariates), including its log prior
-    probability."""
+    """Approximate log evidence of the empirical law (function of covariates), including its log prior probability."""
     log_prior: float
-    """Log prior probability of the empirical law (error as a function of covariates) at these stations, targets or
-    instruments."""
+    """Log prior probability of the empirical law (function of covariates) at its stations, targets or instruments."""
 
 
 @dataclass(frozen=True)
 class PointingPartition:
     """Partition of the pointings into cells: pointings of the same places (stations, targets or instruments).
 
-    A sum over the pointings of a place, where empirical laws act, is a sum over the cells of the place. An empirical
-    law is an error as a function of covariates.
+    A sum over the pointings of a place, where empirical laws (functions of covariates) act, is a sum over its cells.
     """
 
     pointing_order: Ints
@@ -164,16 +161,13 @@ class LawBatch:
     """
 
     responses: tuple[Response, ...]
-    """Quantities (C responses (changed quantities) with c components each) that the empirical laws (errors as functions
-    of covariates) change."""
+    """Quantities (C responses with c components each) that the empirical laws (functions of covariates) change."""
     regressors: tuple[Regressor, ...]
-    """Functions of covariates (D regressors with k columns each) that the empirical laws (errors as functions of
-    covariates) follow."""
+    """Functions of covariates (D regressors with k columns each) to which the empirical laws are proportional."""
     places: tuple[LawPlace, ...]
-    """Stations, targets or instruments where the empirical laws (errors as functions of covariates) act, P places."""
+    """Stations, targets or instruments (P places) where the empirical laws (functions of covariates) act."""
     pointing_partition: PointingPartition
-    """Partition of the pointings by the stations, targets or instruments (places) where the empirical laws (errors as
-    functions of covariates) act."""
+    """Partition of the pointings by the stations, targets or instruments (places) where the empirical laws act."""
     whitened_response_designs: Floats32
     """Whitened change (n, 3, C, c) of the readings of n pointings by the plausible size of each of the c components of
     C responses (changed quantities)."""
@@ -181,8 +175,8 @@ class LawBatch:
     """Design columns of the regressors (functions of covariates), which batches of laws with the same regressors and
     places share."""
     log_prior_by_place: Floats
-    """Log prior probability (P,) of a single empirical law (error as a function of covariates) at each of P places
-    (stations, targets or instruments)."""
+    """Log prior probability (P,) of one empirical law (function of covariates) at each of P places (stations,
+    targets)."""
     _cached_eigen_decompositions: dict[int, list[tuple[Floats, Floats32]]] = field(default_factory=dict, repr=False)
     """Eigen decompositions of Gram matrices scaled by prior standard deviations, by the first index of their range of
     regressors (functions of covariates)."""

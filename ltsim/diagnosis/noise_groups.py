@@ -110,7 +110,7 @@ class GroupNoiseHypothesis:
     def most_likely_effect(self, residual: Floats, redundancy: Floats) -> CandidateNoiseEffect:
         """Effect on the noise with the most probable observables and time windows for m whitened residuals (m,).
 
-        Its sizes are estimated afterwards.
+        The sizes of the effect are estimated afterwards.
         """
         del residual, redundancy
         return self.effect

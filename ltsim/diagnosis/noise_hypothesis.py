@@ -45,8 +45,8 @@ class NoiseHypothesis:
     def log_prior_times_occam_factor(self) -> float:
         """Log of the prior times the Occam factor: log evidence minus log likelihood ratio of the estimated sizes.
 
-        It is limited to the log prior, because a log evidence without approximation may exceed a log likelihood ratio
-        with independent readings.
+        The result is limited to the log prior, because a log evidence without approximation may exceed a log likelihood
+        ratio with independent readings.
         """
         return min(self.log_evidence - 0.5 * self.chi2_drop, self.log_prior)
 

@@ -122,7 +122,7 @@ class NoiseWindows(GroupNoiseHypothesis):
     def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
         """Log evidence (trials,) for each recording (trial), from m residuals (m, trials) with redundancy numbers (m,).
 
-        It is averaged over sets of observables, variance factors, and expected numbers of time windows.
+        The evidence is averaged over sets of observables, variance factors, and expected numbers of time windows.
         """
         gains = np.exp(self._log_likelihood_ratios(residual, redundancy))
         p_change = self._state_change_probabilities[:, None, None, None]

@@ -156,7 +156,8 @@ class SelectionState:
         def with_causes(effects: Sequence[LinearEffect], start_state: NetworkState) -> Adjustment:
             """Adjustment with `effects` in addition to the simple causes of the ordinary adjustment.
 
-            It starts from the unknowns `start_state`. Simple causes are, for example, outliers and moved targets.
+            The adjustment starts from the unknowns `start_state`. Simple causes are, for example, outliers and moved
+            targets.
             """
             return adjusted(effects=(*effects, *old.effects), start_state=start_state)
 
@@ -198,7 +199,7 @@ class SelectionState:
     def ranked_noise_hypotheses(self, model: EffectModel) -> list[tuple[float, NoiseHypothesis]]:
         """Pairs of a log evidence and the most probable noise hypothesis of each kind, given the effects of a model.
 
-        They are sorted by decreasing evidence. A noise hypothesis is a changed noise.
+        The pairs are sorted by decreasing evidence. A noise hypothesis is a changed noise.
         """
         redundancy = self.residual_space.redundancy - np.sum(model.projected_basis**2, axis=1)
         ranked = self.noise_hypotheses.ranked_noise_hypotheses(model.residual, redundancy, model.projected_basis)

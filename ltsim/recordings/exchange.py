@@ -172,7 +172,7 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
     format : str, optional
         Name of the format; by default recognised by the content, then by the suffix of the file name.
     hints : Hints, optional
-        Answers to what the file leaves open, such as units or names.
+        Hints on what the file does not determine, such as units or names.
 
     Raises
     ------

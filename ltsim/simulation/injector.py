@@ -1,7 +1,7 @@
 """Injection of an effect into an existing recording: the change that the effect predicts is added to the readings.
 
-Noise, outliers and instrument errors of the recording remain. The change is computed at the adjusted positions of
-stations and targets. A position error of 1 mm at a range of 10 m alters the change by 1e-4 of its size.
+Noise, outliers and instrument errors of the existing recording remain. The change is computed at the adjusted positions
+of stations and targets. A position error of 1 mm at a range of 10 m alters the change by 1e-4 of its size.
 """
 
 from collections.abc import Mapping

@@ -276,9 +276,9 @@ def bench(source: str | Path, *, probe_direction: float = 90.0, length_sigma: fl
     source : str or Path
         CSV file with the columns ``angle_deg,length_um,probe_um``; a cell is empty if its value was not read.
     probe_direction : float, [deg]
-        Angle from the interferometer to the probe, counted against the rotation of the roundness table.
+        Angle [deg] from the interferometer to the probe, counted against the rotation of the table.
     length_sigma : float, [um]
-        Standard deviation of a length measured by the interferometer.
+        Standard deviation [um] of a length measured by the interferometer.
 
     Raises
     ------
