@@ -292,9 +292,9 @@ class StationSightsRule(LayoutRule):
 class NestAimRule(LayoutRule):
     """Rule that each fixed nest can be aimed so that it returns the beams of all stations; the elements are nests."""
 
-    names: tuple[str, ...]
+    target_names: tuple[str, ...]
     """Names of the targets in k fixed nests."""
-    points: Floats
+    target_points: Floats
     """Coordinates (k, 3) [m] of the targets in k fixed nests."""
     max_incidence_angle: float
     """Acceptance angle [rad] of a nest."""
@@ -303,7 +303,7 @@ class NestAimRule(LayoutRule):
 
     def violations(self, position: Floats, is_visible: Bools) -> Bools:
         """Flags (B, k): True for a fixed nest that cannot be aimed at all stations."""
-        back = position[:, None] - self.points[:, None, :]
+        back = position[:, None] - self.target_points[:, None, :]
         range_ = np.linalg.norm(back, axis=3, keepdims=True)
         cosine = np.einsum("btsk,btk->bts", back / range_, narrowest_cone_axes(back / range_, MAX_NEST_AIMING_STEPS))
         incidence = np.arccos(np.clip(cosine, -1.0, 1.0)) + self.position_tolerance / range_[..., 0]
@@ -311,7 +311,7 @@ class NestAimRule(LayoutRule):
 
     def sentences(self, survey: PlannedSurvey, broken: Ints) -> list[BrokenRule]:
         """Sentence, in a list, on all fixed nests that cannot be aimed at all stations."""
-        named = names_text([self.names[k] for k in broken], MAX_NAMES_IN_RULE_TEXT)
+        named = names_text([self.target_names[k] for k in broken], MAX_NAMES_IN_RULE_TEXT)
         return [BrokenRule(f"fixed nests of {named} cannot be aimed at all stations (smr.acceptance_deg)")]
 
 

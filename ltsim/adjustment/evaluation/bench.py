@@ -304,7 +304,7 @@ def bench(source: str | Path, *, probe_direction: float = 90.0, length_sigma: fl
     )
     eccentricity_sigmas = np.sqrt(np.diag(result.eccentricity_covariance))
 
-    def entry(value: float, sigma: float) -> EstimateEntry:
+    def estimate_entry(value: float, sigma: float) -> EstimateEntry:
         return EstimateEntry(value_um=value / MICROMETRE, sigma_um=sigma / MICROMETRE)
 
     columns = zip(
@@ -314,14 +314,14 @@ def bench(source: str | Path, *, probe_direction: float = 90.0, length_sigma: fl
         strict=True,
     )
     return BenchFile(
-        eccentricity_forward=entry(result.eccentricity[0], eccentricity_sigmas[0]),
-        eccentricity_side=entry(result.eccentricity[1], eccentricity_sigmas[1]),
+        eccentricity_forward=estimate_entry(result.eccentricity[0], eccentricity_sigmas[0]),
+        eccentricity_side=estimate_entry(result.eccentricity[1], eccentricity_sigmas[1]),
         run_out_um=result.run_out / MICROMETRE,
         table=tuple(
             BenchRow(angle_deg=angle, uncorrected_length_um=read, error_um=error, sigma_um=sigma)
             for angle, (read, error, sigma) in zip(record.table_angles_of_lengths / DEGREE, columns, strict=True)
         ),
-        vertex_axial=entry(vertex.axial_offset, vertex.axial_sigma),
-        vertex_offset_lateral=entry(vertex.side_offset, vertex.side_sigma),
+        vertex_axial=estimate_entry(vertex.axial_offset, vertex.axial_sigma),
+        vertex_offset_lateral=estimate_entry(vertex.side_offset, vertex.side_sigma),
         unexplained_rms_um=vertex.unexplained_rms / MICROMETRE,
     )

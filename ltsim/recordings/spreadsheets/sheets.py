@@ -92,12 +92,12 @@ class TextRows(Sequence[SheetRow]):
     def __getitem__(self, place: int | slice) -> SheetRow | TextRows:
         if isinstance(place, slice):
             return TextRows(self._lines[place], self.separator)
-        return self._row(*self._lines[place])
+        return self._split_line(*self._lines[place])
 
     def __iter__(self) -> Iterator[SheetRow]:
-        return starmap(self._row, self._lines)
+        return starmap(self._split_line, self._lines)
 
-    def _row(self, line_number: int, line: str) -> SheetRow:
+    def _split_line(self, line_number: int, line: str) -> SheetRow:
         if "#" in line and line.lstrip().startswith("#"):
             return SheetRow(line_number, _split_fields(line.lstrip().lstrip("#"), self.separator), is_comment=True)
         return SheetRow(line_number, _split_fields(line, self.separator))
