@@ -143,7 +143,7 @@ class CampaignStatistics:
         for cell, method in self._database.execute("SELECT DISTINCT cell, method FROM rows").fetchall():
             if cell not in range(len(self.levels)) or method not in self.manifest.methods:
                 raise ValueError(
-                    f"it has rows of cell {cell} and method {method}, which are not in {ManifestFile.FILE}"
+                    f"the folder has rows of cell {cell} and method {method}, which are not in {ManifestFile.FILE}"
                 )
 
     def _create_cells_table(self) -> None:
