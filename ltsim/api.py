@@ -91,7 +91,7 @@ def _read_result(file: Path) -> Any:
         return CampaignResults(file.parent)  # the rows beside the manifest
     model = next((m for m in RESULT_MODELS if m.model_fields["format"].default == kind), None)
     if model is None:
-        raise RecordError("is no recording and no result of ltsim", file=file)
+        raise RecordError("the path is no recording and no result of ltsim", file=file)
     return read_result(file, model)
 
 
@@ -191,8 +191,8 @@ def convert(
     format, hints
         Format and interpretation of the source, as for `read`.
     every : int
-        N to write only every N-th pointing from a station to a target in one face. Long monitoring recordings contain
-        more pointings than a network needs.
+        Number N: only every N-th pointing from a station to a target in one face is written. Long monitoring recordings
+        contain more pointings than a network needs.
 
     Returns
     -------

@@ -141,7 +141,9 @@ def _load_calibration(path: Path) -> Calibration:
     """Calibration of the instrument; raises InputError for a file of several instruments."""
     calibration = read_calibration(path)
     if len(calibration.instruments) > 1:
-        raise InputError(f"{path}: has {len(calibration.instruments)} instruments; an acceptance test needs one")
+        raise InputError(
+            f"{path}: the calibration has {len(calibration.instruments)} instruments; an acceptance test needs one"
+        )
     return calibration
 
 
@@ -291,23 +293,24 @@ def _sufficient_uncertainty_text(undecided_outcomes: Sequence[TestOutcome]) -> s
     reduction.
     """
 
-    def margin(test_outcome: TestOutcome) -> float:
+    def margin_um(test_outcome: TestOutcome) -> float:
         """Distance [um] between the absolute error of a test and its limit."""
         return abs(test_outcome.limit_um - abs(test_outcome.error_um))
 
-    def ratio(test_outcome: TestOutcome) -> float:
+    def uncertainty_to_margin(test_outcome: TestOutcome) -> float:
         """Ratio of the expanded uncertainty of a test to the distance of its error from the limit."""
-        return (test_outcome.expanded_uncertainty_um or 0.0) / max(margin(test_outcome), MIN_MARGIN_DIVISOR_UM)
+        return (test_outcome.expanded_uncertainty_um or 0.0) / max(margin_um(test_outcome), MIN_MARGIN_DIVISOR_UM)
 
     beyond = [t for t in undecided_outcomes if abs(t.error_um) > t.limit_um]
-    entry = min(beyond, key=ratio) if beyond else max(undecided_outcomes, key=ratio)
+    entry = min(beyond, key=uncertainty_to_margin) if beyond else max(undecided_outcomes, key=uncertainty_to_margin)
     present = f"{entry.expanded_uncertainty_um:.3g} um"
-    needed = f"an expanded uncertainty of {entry.name} below {margin(entry):.2g} um (now {present})"
+    needed = f"an expanded uncertainty of {entry.name} below {margin_um(entry):.2g} um (now {present})"
     if beyond:
         return f"{needed} rejects the tracker, because this error of {abs(entry.error_um):.1f} um exceeds its limit"
     count = len(undecided_outcomes)
     if count == 1:
         return f"{needed} accepts it"
     return (
-        f"all {count} undecided errors would be accepted with uncertainties {ratio(entry):.2g} times smaller; {needed}"
+        f"all {count} undecided errors would be accepted with uncertainties {uncertainty_to_margin(entry):.2g} times "
+        f"smaller; {needed}"
     )

@@ -184,7 +184,7 @@ def with_control_points(recording: Recording, path: Path) -> Recording:
         targets[name] = targets.get(name, Target()).model_copy(update=update)
         count += 1
     if not count:
-        raise RecordError("contains none of the recording's targets; the spelling must be the same", file=path)
+        raise RecordError("the file contains none of the recording's targets; the spelling must be the same", file=path)
     notes = [f"{count_text(count, 'control point')} of {path.name}, each with its standard deviation"]
     notes += unmeasured_points_notes(unmeasured_names, path.name)
     notes += _levelled_control_notes(recording, listed.coordinates_by_name, path.name)

@@ -210,7 +210,7 @@ def _most_contradicting_observation(
     w = normalise_residuals(problem, problem.reading_residuals(problem.model.predict(solution.x)), redundancy)
     shown = noise_factor_from_residuals(w, redundancy)
 
-    def noise(test: ReferenceTest) -> float:
+    def scatter_without(test: ReferenceTest) -> float:
         healed = np.sqrt(max(solution.sum_of_squares - test.chi2_drop, 0.0) / max(problem.dof - test.rank, 1))
         return max(1.0, min(shown, float(healed)))
 
@@ -218,9 +218,9 @@ def _most_contradicting_observation(
         return float(neg_log_p_chi2(chi2_drop, rank)) - float(np.log(max(n_tests, 1)))
 
     count = len(list(reference_values(problem, solution.x)))
-    chances = [neg_log_corrected_p(test.chi2_drop / noise(test) ** 2, test.rank, count) for test in tests]
+    chances = [neg_log_corrected_p(test.chi2_drop / scatter_without(test) ** 2, test.rank, count) for test in tests]
     best = int(np.argmax(chances))
-    chance, scatter = chances[best], noise(tests[best])
+    chance, scatter = chances[best], scatter_without(tests[best])
     scaled = tests[best].chi2_drop / scatter**2
     if scaled < max(MIN_CERTAIN_ERROR_SIGMAS, critical_normalised_residual(count)) ** 2 or chance < -np.log(
         FAMILY_WISE_LEVEL

@@ -84,18 +84,20 @@ def detect_noisy_targets(normalised_residuals: Floats, redundancy: Floats, targe
     """
     testable = np.where(np.nan_to_num(redundancy) > MIN_CHECKED_REDUNDANCY, normalised_residuals, np.nan)
 
-    def noise(is_in_group: Bools) -> float:
+    def group_scatter(is_in_group: Bools) -> float:
         return robust_sigma(testable[is_in_group][np.isfinite(testable[is_in_group])])
 
     n_testable = np.bincount(target, np.isfinite(testable).sum(axis=1))
-    scatter_of = {t: noise(target == t) for t in np.flatnonzero(n_testable >= MIN_DOF_FOR_ESTIMATED_NOISE).tolist()}
+    scatter_of = {
+        t: group_scatter(target == t) for t in np.flatnonzero(n_testable >= MIN_DOF_FOR_ESTIMATED_NOISE).tolist()
+    }
     named: list[int] = []
     for t in sorted(scatter_of, key=lambda t: -scatter_of[t])[: len(scatter_of) - 1]:
-        if not scatter_of[t] > MIN_NOISY_SCATTER_RATIO * noise(~np.isin(target, [*named, t])):
+        if not scatter_of[t] > MIN_NOISY_SCATTER_RATIO * group_scatter(~np.isin(target, [*named, t])):
             break
         named.append(t)
     is_member = np.isin(target, named)
-    return np.array(named, dtype=np.int64), noise(is_member) if named else 1.0, noise(~is_member)
+    return np.array(named, dtype=np.int64), group_scatter(is_member) if named else 1.0, group_scatter(~is_member)
 
 
 def critical_normalised_residual(n_readings: int, alpha: float = FAMILY_WISE_LEVEL) -> float:

@@ -120,7 +120,7 @@ def _predicted_readings_of_incomplete_pointings(recording: Recording) -> Floats:
     untied: Bools = incomplete & recording.is_measured.any(axis=1) & lost[recording.target]
     if untied.any():
         name = recording.targets[recording.target[int(np.argmax(untied))]]
-        raise _undetermined_rows_error(untied, f"no reading connects target {name} to it")
+        raise _undetermined_rows_error(untied, f"no reading connects target {name} to the network")
     model = MeasurementModel(recording, ideal_construction())
     return model.predict(NetworkState(position, rotation, points, np.zeros((1, 0))))
 

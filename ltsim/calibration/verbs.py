@@ -67,8 +67,12 @@ def calibrate(
         Misalignments with the source in the head (`misalignment`, 16 parameters) or with a steering mirror
         (`steering-mirror`, 21), or the Denavit-Hartenberg chain of Sensors 2021, 21, 7479 (`dh`, 78); default: the
         model declared in `setup.toml`.
-    robust, noise_from_data, datum
-        Options of `adjust`, for method `network` only.
+    robust : bool
+        True to exclude outlying readings. For method `network` only.
+    noise_from_data : bool
+        True to estimate the noise of readings. For method `network` only.
+    datum : str or sequence of str, optional
+        Targets that define the datum by inner constraints. For method `network` only.
     parameters : str or sequence of str, optional
         Parameters to estimate, by name or by a common beginning of several names (`azimuth-eccentricity`);
         ``NAME@INSTRUMENT`` means the parameter of one instrument. All other parameters are fixed at zero.

@@ -56,9 +56,9 @@ class HeldOutPointErrors(Result):
         return [f"Error of a new point: uncorrected {raw:.1f} um, {errors}; with the true parameters {floor:.1f} um"]
 
     def _table_makers(self) -> Mapping[str, Callable[[], Table]]:
-        return {"new_points": lambda: HELD_OUT_POINT_ERRORS_TABLE.with_rows(self._rows())}
+        return {"new_points": lambda: HELD_OUT_POINT_ERRORS_TABLE.with_rows(self._table_rows())}
 
-    def _rows(self) -> Iterator[list[Any]]:
+    def _table_rows(self) -> Iterator[list[Any]]:
         """Rows of the table of errors [um], one for each calibration."""
         for name, error in self.errors_by_calibration.items():
             sizes = (error.raw_rms, error.calibrated_rms, error.true_parameters_rms)

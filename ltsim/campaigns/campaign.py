@@ -123,7 +123,7 @@ def run_campaign(
     taken = [] if store.has_campaign or force else store.conflicting_files(sources)
     if taken:
         raise InputError(
-            f"{folder}: contains {', '.join(taken)} but no campaign; name another {option_text('out')}, "
+            f"{folder}: the folder contains {', '.join(taken)} but no campaign; name another {option_text('out')}, "
             f"or replace them with {option_text('force=True')}"
         )
     chosen_workers = workers or WorkerSettings()
@@ -215,6 +215,17 @@ def _extended_campaign(
     Existing cells (combinations of factor levels) keep their numbers. InputError is raised if the file would change
     existing rows.
     """
+    if not resume:
+        raise InputError(
+            f"{store.folder}: the folder holds a campaign; continue it with {option_text('resume=True')}, "
+            f"name another {option_text('out')}, or start again with {option_text('force=True')}"
+        )
+    manifest = store.manifest()
+    if not all(old.digest for old in manifest.cells):
+        raise InputError(
+            f"{store.folder}: the campaign was started by an earlier version of ltsim; start again with another "
+            f"{option_text('out')}, or with {option_text('force=True')}"
+        )
     before, ordered, remaining = manifest.settings, list[CampaignCell](), list(cells)
     for old in manifest.cells:
         same = next((cell for cell in remaining if cell.digest == old.digest), None)
@@ -224,15 +235,17 @@ def _extended_campaign(
                 "the scenario"
             ]
             raise InputError(
-                f"{file}: changed since this campaign started ({', '.join(changed)}); its rows in {store.folder} stay: "
-                f"continue with {store.folder / CAMPAIGN_FILE_NAME}, or start again with another {option_text('out')}"
+                f"{file}: the file was changed since this campaign started ({', '.join(changed)}); "
+                f"its rows in {store.folder} stay: continue with {store.folder / CAMPAIGN_FILE_NAME}, or start "
+                f"again with another {option_text('out')}"
             )
         remaining.remove(same)
         ordered.append(same)
     if [*manifest.cells[0].levels] != [*cells[0].levels]:
         raise InputError(
-            f"{file}: varies {', '.join(cells[0].levels) or 'nothing'}, but the campaign in {store.folder} varies "
-            f"{', '.join(manifest.cells[0].levels) or 'nothing'}: a different factor needs another {option_text('out')}"
+            f"{file}: the file varies {', '.join(cells[0].levels) or 'nothing'}, but the campaign in {store.folder} "
+            f"varies {', '.join(manifest.cells[0].levels) or 'nothing'}: "
+            f"a different factor needs another {option_text('out')}"
         )
     statistics = tuple(dict.fromkeys((*before.get("statistics", ()), *campaign.statistics)))
     extension = {"trials": max(campaign.trials, manifest.trials), "statistics": statistics}

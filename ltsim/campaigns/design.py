@@ -266,4 +266,4 @@ def read_cad_bytes(path: Path) -> bytes:
     try:
         return read_whole_file(path)
     except OSError as problem:
-        raise InputError(f"{path}: cannot be read ({problem.strerror})") from None
+        raise InputError(f"{path}: the file cannot be read ({problem.strerror})") from None

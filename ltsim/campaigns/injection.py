@@ -85,7 +85,7 @@ def inject(
     check_argument_bounds(seed=seed, noncentrality=noncentrality, required_argument="seed")
     if not causes:
         raise ModelError(
-            "nothing to inject: name an effect (ltsim effects lists them) or a formula such as 'azimuth ~ time'"
+            "no effect is given: name an effect (ltsim effects lists them) or a formula such as 'azimuth ~ time'"
         )
     for cause in causes:
         if isinstance(cause, (list, tuple)):

@@ -232,8 +232,10 @@ def recover(
         Scenario, its file, or the name of a built-in scenario.
     trials : int
         Number of simulated recordings, at least two.
-    method, with_effects
-        Options of ltsim's calibrator, as for `calibrate`.
+    method : str
+        Calibration method of ltsim's calibrator, with the same names as for `calibrate`.
+    with_effects : str, Effect or sequence of them
+        Effects that ltsim's calibrator also estimates, in the same form as for `calibrate`.
     construction : str, optional
         Geometric error model of ltsim's calibrator; default the model of the scenario.
     calibrator : callable or str, optional

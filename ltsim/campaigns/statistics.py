@@ -137,7 +137,7 @@ class CampaignStatistics:
         weakref.finalize(self, shutil.rmtree, temporary_folder, ignore_errors=True)
         self._database.execute("SET temp_directory = ?", [temporary_folder])
 
-    def _cells(self) -> dict[str, list[Any]]:
+    def _cell_columns(self) -> dict[str, list[Any]]:
         """Columns of the table `cells`: index, label and factor levels of each cell."""
         cells = self.manifest.cells
         plain: dict[str, list[Any]] = {"cell": [c.cell for c in cells], "label": [c.label for c in cells]}
@@ -148,7 +148,7 @@ class CampaignStatistics:
         for cell, method in self._database.execute("SELECT DISTINCT cell, method FROM rows").fetchall():
             if cell not in range(len(self.levels)) or method not in self.manifest.methods:
                 raise ValueError(
-                    f"it has rows of cell {cell} and method {method}, which are not in {ManifestFile.FILE}"
+                    f"the folder has rows of cell {cell} and method {method}, which are not in {ManifestFile.FILE}"
                 )
 
     def _create_cells_table(self) -> None:
@@ -156,7 +156,7 @@ class CampaignStatistics:
 
         The table is created by plain SQL, because a transfer from Arrow would import pandas.
         """
-        cells = self._cells()
+        cells = self._cell_columns()
         columns = "".join(f", {sql_identifier(factor.name)}" for factor in self.factors)
         self._database.execute(f"CREATE TABLE cells AS SELECT cell, method AS label{columns} FROM rows LIMIT 0")
         places = ", ".join("?" * len(cells))
@@ -174,10 +174,10 @@ class CampaignStatistics:
     def _table_makers(self) -> Mapping[str, Callable[[], Table | ColumnValues]]:
         return {
             "summary": self._summary,
-            "cells": self._cells,
+            "cells": self._cell_columns,
             "solver_comparisons": lambda: columns_from_rows(self.with_factor_levels(self.solver_comparisons())),
             "z_scores": lambda: columns_from_rows(self.with_factor_levels(self.z_score_summaries())),
-            "rows": self._rows,
+            "rows": self._row_columns,
         }
 
     def _summary(self) -> Table:
@@ -193,7 +193,7 @@ class CampaignStatistics:
         is_of_parameter = ("z:", "estimate:", "true:")
         return [c for c in self.columns if not c.startswith(is_of_parameter) and c != SOLVER_DIFFERENCE_COLUMN]
 
-    def _rows(self) -> ColumnValues:
+    def _row_columns(self) -> ColumnValues:
         """All rows as columns, ordered by cell (combination of factor levels), method and trial."""
         with interruptible_query():
             rows = self._database.execute("SELECT * FROM rows ORDER BY cell, method, trial")

@@ -127,7 +127,7 @@ class CampaignFolder:
             return read_shard(path)
         except (pa.ArrowException, OSError) as problem:
             repair = f"continue with {option_text('resume=True')} to repair it"
-            raise InputError(f"{path}: cannot be read ({problem}); {repair}") from None
+            raise InputError(f"{path}: the file cannot be read ({problem}); {repair}") from None
 
     def verify_shards(self, shards: Iterable[Path], cell_digests: Mapping[int, str]) -> None:
         """Check that files of rows (shards) are unchanged since they were written, and are in the folder of their cell.
@@ -313,7 +313,7 @@ class CampaignFolder:
             yield
         except OSError as problem:
             full = problem.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-            reason = "the disk is full" if full else f"cannot be written ({problem.strerror or problem})"
+            reason = "the disk is full" if full else f"the folder cannot be written ({problem.strerror or problem})"
             cure = "free some space" if full else "make it writable"
             raise interruption_error(self.folder, reason, cure) from None
 

@@ -39,7 +39,7 @@ WithStationsOption = Annotated[
     typer.Option(
         "--with-stations",
         help="Also write points.csv and points.covariance.csv to --out: targets and stations with their joint "
-        "covariance, as source of uncertainty and compare.",
+        "covariance, as input of ltsim uncertainty and ltsim compare.",
     ),
 ]
 AllowRejectedOption = Annotated[

@@ -214,7 +214,12 @@ class RecoverOptions(FunctionOptions):
 
     trials: Annotated[int, bounded_option("trials", "Number of simulated recordings, at least two.", "-n")] = 200
     method: Annotated[
-        str, typer.Option("--method", metavar="NAME", help="Options of ltsim's calibrator, as for calibrate.")
+        str,
+        typer.Option(
+            "--method",
+            metavar="NAME",
+            help="Calibration method of ltsim's calibrator, with the same names as for calibrate.",
+        ),
     ] = "network"
     construction: Annotated[
         str | None,
@@ -226,7 +231,11 @@ class RecoverOptions(FunctionOptions):
     ] = None
     with_effects: Annotated[
         list[str] | None,
-        typer.Option("--with", metavar="EFFECT[:WHERE,...]", help="Options of ltsim's calibrator, as for calibrate."),
+        typer.Option(
+            "--with",
+            metavar="EFFECT[:WHERE,...]",
+            help="Effects that ltsim's calibrator also estimates, in the same form as for calibrate.",
+        ),
         tuple,
     ] = None
     calibrator: Annotated[

@@ -214,7 +214,11 @@ SourceOverrideOption = Annotated[
 ]
 ComparedResultsOption = Annotated[
     Path | None,
-    typer.Option("--against", metavar="FILE", help="Results of another recording or instrument, compared by E_n."),
+    typer.Option(
+        "--against",
+        metavar="FILE",
+        help="Result file of another recording or instrument; results are compared by the normalised error E_n.",
+    ),
 ]
 NO_COMMON_RESULT_TEXT = "no result of the other file has the same task, name and unit"
 """Text if two result files of `uncertainty` contain no result with the same task, name and unit."""

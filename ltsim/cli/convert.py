@@ -38,7 +38,7 @@ class ConvertOptions(FunctionOptions):
         int,
         bounded_option(
             "every",
-            "N to write only every N-th pointing from a station to a target in one face. Long monitoring "
+            "Number N: only every N-th pointing from a station to a target in one face is written. Long monitoring "
             "recordings contain more pointings than a network needs.",
         ),
     ] = 1

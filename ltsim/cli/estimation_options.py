@@ -85,12 +85,17 @@ class CalibrateOptions(FunctionOptions):
             "model declared in setup.toml.",
         ),
     ] = None
-    robust: Annotated[bool, typer.Option("--robust", help="Options of adjust, for method network only.")] = False
+    robust: Annotated[
+        bool, typer.Option("--robust", help="True to exclude outlying readings. For method network only.")
+    ] = False
     noise_from_data: Annotated[
-        bool, typer.Option("--noise-from-data", help="Options of adjust, for method network only.")
+        bool,
+        typer.Option("--noise-from-data", help="True to estimate the noise of readings. For method network only."),
     ] = False
     datum: Annotated[
-        str | None, name_list_option("datum", "Options of adjust, for method network only."), split_names
+        str | None,
+        name_list_option("datum", "Targets that define the datum by inner constraints. For method network only."),
+        split_names,
     ] = None
     parameters: Annotated[
         str | None,
@@ -277,9 +282,9 @@ class BenchOptions(FunctionOptions):
         typer.Option(
             "--probe-direction",
             metavar="N",
-            help="Angle from the interferometer to the probe, counted against the rotation of the roundness table.",
+            help="Angle [deg] from the interferometer to the probe, counted against the rotation of the table.",
         ),
     ] = 90.0
     length_sigma: Annotated[
-        float, bounded_option("length_sigma", "Standard deviation of a length measured by the interferometer.")
+        float, bounded_option("length_sigma", "Standard deviation [um] of a length measured by the interferometer.")
     ] = 0.1

@@ -112,8 +112,9 @@ ControlFileOption = Annotated[
     typer.Option(
         "--control",
         metavar="FILE",
-        help="Control points with weight: a table target, x_mm, y_mm, z_mm and sigma_mm (or sigma_x_mm, sigma_y_mm, "
-        "sigma_z_mm); an empty coordinate is unknown. A point that the readings contradict is reported and not used.",
+        help="Table of control points (weighted known coordinates) of targets, with the columns target, x_mm, y_mm, "
+        "z_mm and sigma_mm (or sigma_x_mm, sigma_y_mm, sigma_z_mm); an empty coordinate is unknown. A point that the "
+        "readings contradict is reported and not used.",
     ),
 ]
 

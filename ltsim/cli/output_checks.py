@@ -215,9 +215,11 @@ def _unchanged_output(path: Path, write: Callable[[Path], Any]) -> _UnchangedOut
             if existing == written and all(read_whole_file(path / p) == read_whole_file(copy / p) for p in written):
                 return _UnchangedOutput(returned_value)
         except OSError as problem:
-            raise RecordError(f"cannot be read ({problem.strerror})", file=problem.filename) from None
+            raise RecordError(f"the file cannot be read ({problem.strerror})", file=problem.filename) from None
     if path.is_file():
-        raise RecordError("exists with another content; choose another name, or replace it with --force", file=path)
+        raise RecordError(
+            "the output exists with another content; choose another name, or replace it with --force", file=path
+        )
     names = names_text([str(name) for name in existing], 3)
     raise RecordError(
         f"the folder contains {names} with another content; choose another folder, or replace them with --force",
@@ -248,7 +250,7 @@ def check_new_file(file: Path, force: bool) -> None:
         with open_for_reading(file) as stream:
             if PAGE_GENERATOR_TAG.encode() in stream.read(N_BYTES_SEARCHED_FOR_FORMAT):
                 return
-    raise RecordError("exists already; choose another name, or replace it with --force", file=file)
+    raise RecordError("the file exists already; choose another name, or replace it with --force", file=file)
 
 
 def check_file_for_comparison(file: Path, force: bool) -> None:
@@ -258,7 +260,9 @@ def check_file_for_comparison(file: Path, force: bool) -> None:
     """
     check_writable(file, is_folder=False)
     if os.path.lexists(file) and not file.exists() and not force:
-        raise RecordError("is a link that leads nowhere; choose another name, or replace it with --force", file=file)
+        raise RecordError(
+            "the path is a link that leads nowhere; choose another name, or replace it with --force", file=file
+        )
 
 
 def _check_no_foreign_files(folder: Path) -> None:

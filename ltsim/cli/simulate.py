@@ -190,7 +190,7 @@ def inject(
     force: ForceOption = False,
     terminal: Terminal,
 ) -> None:
-    """Add the effects of faults to the readings of a recording, by the exact model; noise and outliers stay.
+    """Add the effects of faults to the readings of a recording, by the exact model.
 
     Example: ltsim inject my-recording range-step:S3 --noncentrality 100 --out injected --truth injected.json
     """
@@ -249,7 +249,7 @@ def _run_injection_curve(
 
 
 DemoFolderOption = Annotated[
-    Path, typer.Option("--out", metavar="DIR", help="Folder for everything."), EMPTY_FOLDER_OUTPUT
+    Path, typer.Option("--out", metavar="DIR", help="Folder for all files of the demonstration."), EMPTY_FOLDER_OUTPUT
 ]
 
 DEMO_EFFECTS: tuple[dict[str, Any], ...] = tuple(

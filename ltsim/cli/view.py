@@ -59,7 +59,7 @@ ReportFolderArgument = Annotated[
 ReportHeaderTextOption = Annotated[
     str | None,
     typer.Option(
-        metavar="TEXT", help="Text of this line in the header of the page; default from [report] of setup.toml."
+        metavar="TEXT", help="Text of the header line with this name; default from the table [report] of setup.toml."
     ),
 ]
 DateOption = Annotated[str | None, typer.Option("--date", metavar="YYYY-MM-DD", help="Day of the measurement.")]

@@ -264,7 +264,7 @@ class Table(ValueEquality):
             When a column is missing, or a cell of a number column holds no number. `file` is named in the message.
         """
         if text.count("\n") > MAX_TEXT_LINES:
-            raise RecordError(f"has more than {MAX_TEXT_LINES} lines, the limit for reading", file=file)
+            raise RecordError(f"the file has more than {MAX_TEXT_LINES} lines, the limit for reading", file=file)
         reader = csv.DictReader(io.StringIO(text, newline=None), restval="")
         try:
             names = list(reader.fieldnames or ())

@@ -90,7 +90,9 @@ def require_no_link(folder: Path, name: str) -> None:
     """Check that a file in a folder, if it exists, is neither a symbolic nor a hard link; raises RecordError."""
     path = path_in_folder(folder, name)
     if path.exists() and path.stat().st_nlink > 1:
-        raise RecordError("has another name elsewhere (hard link); remove it, or choose another folder", file=path)
+        raise RecordError(
+            "the file has another name elsewhere (hard link); remove it, or choose another folder", file=path
+        )
 
 
 def append_text(folder: Path, name: str, text: str) -> None:
@@ -119,7 +121,7 @@ def open_for_reading(path: Path) -> BufferedReader:
     os.close(handle)
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
-    raise OSError(errno.EINVAL, "it is a pipe or a device, expected a file", str(path))
+    raise OSError(errno.EINVAL, "the path is a pipe or a device, expected a file", str(path))
 
 
 def read_whole_file(path: Path) -> bytes:
@@ -162,11 +164,11 @@ def path_in_folder(folder: Path, file_name: str) -> Path:
     final_path = Path(os.path.realpath(folder / file_name))
     if not _is_inside_folder(folder, file_name):
         raise RecordError(
-            f"is a link that leads out of the folder, to {final_path}; remove the link, or choose another folder",
+            f"the path is a link out of the folder, to {final_path}; remove the link, or choose another folder",
             file=folder / file_name,
         )
     if is_device_or_pipe(final_path):
-        raise RecordError("is a pipe or device; remove it, or choose another folder", file=folder / file_name)
+        raise RecordError("the path is a pipe or device; remove it, or choose another folder", file=folder / file_name)
     return final_path
 
 
@@ -207,7 +209,7 @@ def check_writable(path: Path, *, is_folder: bool) -> None:
         else:
             _check_nearest_folder_writable(path, path if is_folder else path.parent)
     except (OSError, ValueError) as problem:
-        raise RecordError(f"cannot be written ({getattr(problem, 'strerror', problem)})", file=path) from None
+        raise RecordError(f"the path cannot be written ({getattr(problem, 'strerror', problem)})", file=path) from None
     if not is_folder and not (is_device_or_pipe(path) and not path.is_symlink()):
         path_in_folder(path.parent, path.name)
 

@@ -165,8 +165,7 @@ def _noise_finding(
     """Finding that reports a selected noise hypothesis, limited to the observables whose noise differs significantly.
 
     `global_test` has the p-value of the finding. `has_clock` is True if the recording has times, so that intervals of
-    time are texts of times and not of rows. A noise hypothesis says that the noise of some readings differs from the
-    declared noise.
+    time are texts of times and not of rows. A noise hypothesis is a changed noise.
     """
     effect = hypothesis.effect
     scope = effect_scope(effect, _observables_with_changed_noise(hypothesis, sightings))

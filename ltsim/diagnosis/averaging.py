@@ -189,8 +189,7 @@ def alternative_probabilities_and_reading_changes(
     The first cause is the effect `selected_hypothesis`, the last one is no effect. Noise hypotheses shift no reading,
     so that their probabilities are added to that of no effect. `reduced_model` is the model without the selected
     effect, and `ranking` contains its alternatives. Log evidences are divided by `temperature`; a value above 1 makes
-    the probabilities more equal. A noise hypothesis says that the noise of some readings differs from the declared
-    noise.
+    the probabilities more equal. A noise hypothesis is a changed noise.
     """
     none, *rest_of = normalised_probabilities(
         np.array([ranking.log_evidence_of_no_cause, *(h.log_evidence for h in ranking.hypotheses)]) / temperature
@@ -226,8 +225,8 @@ def reading_change_by_combined_hypotheses(
     of the mixture of their priors. Log evidences are divided by `temperature`; a value above 1 makes the probabilities
     more equal. `reduced_model` is the model without the selected hypothesis, and `ranking` contains its alternatives.
     The number of combined hypotheses is limited to those with a probability above
-    `MIN_PROBABILITY_OF_AVERAGED_EXPLANATION`, and by the memory for their design matrices. An empirical law describes
-    an error as a function of covariates such as time.
+    `MIN_PROBABILITY_OF_AVERAGED_EXPLANATION`, and by the memory for their design matrices. An empirical law is an error
+    as a function of covariates.
     """
     space, basis = searcher.residual_space, reduced_model.projected_basis
     observables = set(selected_hypothesis.effect.observables)

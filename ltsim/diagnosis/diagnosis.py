@@ -238,8 +238,8 @@ class Diagnosis(ResultFile):
         """Number of estimated coefficients of all effects that shift readings.
 
         An empirical law with an estimated ratio of its w components has w - 1 further coefficients. If no effect shifts
-        readings, the result is the number of parameters of the findings. An empirical law describes an error as a
-        function of covariates such as time.
+        readings, the result is the number of parameters of the findings. An empirical law is an error as a function of
+        covariates.
         """
         model = self.final_adjustment.problem.model
         ratios = sum(

@@ -147,8 +147,7 @@ class EvidenceCalculator:
     def _affected_rows(self, effect: CandidateEffect) -> AffectedRows:
         """Observation equations on which an effect acts: for an empirical law those of its place, otherwise all.
 
-        The place of a law is its stations and targets. An empirical law describes an error as a function of covariates
-        such as time.
+        The place of a law is its stations and targets. An empirical law is an error as a function of covariates.
         """
         place = (effect.stations, effect.targets) if isinstance(effect, EmpiricalLaw) else (("",), ("",))
         if place not in self._rows:
@@ -189,7 +188,7 @@ class EvidenceCalculator:
         """Whitened change (m, c) of m observation equations per unit of each component of a response.
 
         The response `name` is the quantity that an empirical law changes, such as the vertical index; it has c
-        components. An empirical law describes an error as a function of covariates such as time.
+        components. An empirical law is an error as a function of covariates.
         """
         if name not in self._changes_by_response:
             self._changes_by_response[name] = self.residual_space.whiten(

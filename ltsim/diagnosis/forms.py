@@ -50,7 +50,7 @@ def min_log_evidence_for_forms(best_evidence: float) -> float:
     """Approximate log evidence above which an empirical law is evaluated in all functional forms.
 
     It is about half of `best_evidence`, the largest log evidence of a law, because another form may double the log
-    evidence. An empirical law describes an error as a function of covariates such as time.
+    evidence. An empirical law is an error as a function of covariates.
     """
     return 0.5 * best_evidence - 5.0
 
@@ -68,8 +68,7 @@ def evaluate_law_forms(
     A form that equals a catalogue effect has its name; all other forms are `unknown`. The evidence of a result is the
     sum over all forms with its name. `log_prior` is the log prior probability of the law. The effects of
     `conditioning_model` are estimated in addition. Steps, ramps and switches (on or off in intervals of a covariate)
-    are tried if `with_steps_and_switches`. An empirical law describes an error as a function of covariates such as
-    time.
+    are tried if `with_steps_and_switches`. An empirical law is an error as a function of covariates.
     """
     sightings = calculator.residual_space.sightings
     law = law.equivalent_vertical_index_law(sightings)
@@ -125,7 +124,7 @@ def evaluate_law_forms(
 def _index_of_best(forms: Sequence[Hypothesis]) -> int:
     """Index of the hypothesis with the largest log evidence among `forms` (functions of an empirical law).
 
-    An empirical law describes an error as a function of covariates such as time.
+    An empirical law is an error as a function of covariates.
     """
     return index_of_most_evidence(np.array([form.log_evidence for form in forms]))
 
@@ -136,7 +135,7 @@ def _functional_forms(
     """Forms of an empirical law as a curve, a formula, a piecewise function or a product, each with its log evidence.
 
     `log_prior` is the log prior probability of the law. The effects of `conditioning_model` are estimated in addition.
-    An empirical law describes an error as a function of covariates such as time.
+    An empirical law is an error as a function of covariates.
     """
     forms = law.candidate_forms_by_kind(calculator.residual_space.sightings)
     weight_sum = sum(PRIOR_WEIGHT_BY_LAW_FORM[kind] for kind in forms)
@@ -164,7 +163,7 @@ def _forms_with_ratio(
     """List of `form`, an empirical law, and possibly of this law with a fixed ratio of its components.
 
     The fixed ratio is tried if each component has several coefficients. The effects of `conditioning_model` are
-    estimated in addition. An empirical law describes an error as a function of covariates such as time.
+    estimated in addition. An empirical law is an error as a function of covariates.
     """
     law = form.effect
     assert isinstance(law, EmpiricalLaw)
@@ -188,11 +187,10 @@ def _forms_with_ratio(
 def _forms_at_single_set_ups(
     calculator: EvidenceCalculator, form: Hypothesis, conditioning_model: EffectModel
 ) -> list[Hypothesis]:
-    """List of `form`, an empirical law at all set-ups, and of the same law at single set-ups.
+    """List of `form`, an empirical law (function of covariates) at all set-ups, and of the same law at single set-ups.
 
     If the poses of all set-ups except one absorb the law, the list contains only the law at this set-up. The effects of
-    `conditioning_model` are estimated in addition. An empirical law describes an error as a function of covariates such
-    as time.
+    `conditioning_model` are estimated in addition.
     """
     law, stations = form.effect, calculator.residual_space.sightings.station_names
     assert isinstance(law, EmpiricalLaw)
@@ -241,12 +239,11 @@ def _forms_at_single_set_ups(
 def _piecewise_forms(
     calculator: EvidenceCalculator, law: EmpiricalLaw, log_prior: float, conditioning_model: EffectModel
 ) -> list[Hypothesis]:
-    """List of an empirical law with a sum of steps and ramps, in place of its curve.
+    """List of an empirical law (function of covariates) with a sum of steps and ramps, in place of its curve.
 
     Steps and ramps are added while the evidence increases. The list is empty for a law without a curve, and for a law
     that acts on a single target. `log_prior` is the log prior probability of the result. The effects of
-    `conditioning_model` are estimated in addition. An empirical law describes an error as a function of covariates such
-    as time.
+    `conditioning_model` are estimated in addition.
     """
     atoms = law.candidate_steps_and_ramps(calculator.residual_space.sightings)
     if not atoms or len(law.targets) == 1:  # the catalogue has effects for it
@@ -298,7 +295,7 @@ def response_curve(
 
     The result is None for a law with several covariates, or with a separate size at each set-up. The k coefficients of
     the law have the mean `coefficient_mean` (k,) and the covariance `coefficient_covariance` (k, k) [SI]. An empirical
-    law describes an error as a function of covariates such as time.
+    law is an error as a function of covariates.
     """
     regressor = law.regressor
     if len(regressor.covariates) != 1 or regressor.kind in ("amounts", "passage"):

@@ -52,8 +52,7 @@ class GlobalTestResult:
 def run_global_test(searcher: Searcher, noise_hypotheses: NoiseHypothesisSet) -> GlobalTestResult:
     """Result of the simultaneous test of an adjustment for all effects, empirical laws and noise hypotheses.
 
-    An empirical law describes an error as a function of covariates such as time. A noise hypothesis says that the noise
-    of some readings differs from the declared noise.
+    An empirical law is an error as a function of covariates. A noise hypothesis is a changed noise.
     """
     space = searcher.residual_space
     noise_evidence = noise_hypotheses.log_evidence_by_family(space.whitened_residuals[:, None], space.redundancy)[:, 0]

@@ -37,7 +37,8 @@ class Hypothesis:
     log_prior: float
     """Log prior probability of the effect at these stations and targets with these shape parameters."""
     log_evidence: float
-    """Log evidence with prior, averaged over similar shape parameters, given the other effects in a model."""
+    """Log evidence of the effect with its prior, averaged over similar shape parameters, given other effects in a
+    model."""
     name: str
     """Name of the effect in the catalogue, or `unknown`."""
 
@@ -50,7 +51,7 @@ class Hypothesis:
     def is_catalogued(self) -> bool:
         """True if the hypothesis is a catalogue effect, False for an empirical law outside the catalogue.
 
-        An empirical law describes an error as a function of covariates such as time.
+        An empirical law is an error as a function of covariates.
         """
         return self.name != "unknown"
 
@@ -92,7 +93,7 @@ class EffectModel:
 
     @cached_property
     def projected_basis(self) -> Floats:
-        """Orthonormal basis (m, e), e vectors, of the changes of m whitened residuals by all effects in the model."""
+        """Orthonormal basis (m, e) of e vectors for the changes of m whitened residuals by all effects in the model."""
         if not self.hypotheses:
             return np.zeros((len(self.baseline_residual), 0))
         return orthonormal_columns(np.hstack(self.projected_designs), np.concatenate(self.design_column_norms))
@@ -119,8 +120,7 @@ class EffectModel:
     def discrepancy_penalty(self) -> float:
         """Additional log evidence required of a further effect, because the function of an empirical law is imperfect.
 
-        It is 0 for a model with catalogue effects only. An empirical law describes an error as a function of covariates
-        such as time.
+        A model with catalogue effects only has the penalty 0. An empirical law is an error as a function of covariates.
         """
         if all(h.is_catalogued for h in self.hypotheses):
             return 0.0
@@ -167,13 +167,13 @@ class HypothesisRanking:
     log_evidence_of_unmodelled_cause: float = -np.inf
     """Log evidence of a cause that is no hypothesis of the ranking; minus infinity if it is not considered."""
     log_evidence_of_no_cause: float = 0.0
-    """Log evidence of the absence of any cause. It is 0, or larger if held-out readings contradict the model."""
+    """Log evidence of the absence of any cause: 0, or a larger value if held-out readings contradict the model."""
 
     def most_probable_of_each_kind(self) -> list[Hypothesis]:
         """Hypotheses with the largest evidence: one of each catalogue effect, and one law of each response.
 
         The response is the quantity that an empirical law changes. The order is that of the ranking. An empirical law
-        describes an error as a function of covariates such as time.
+        is an error as a function of covariates.
         """
         first: dict[tuple[str, str], Hypothesis] = {}
         for hypothesis in self.hypotheses:
@@ -328,7 +328,7 @@ def _plausible_sizes_and_effect_indices(hypotheses: Sequence[Hypothesis]) -> tup
 
 
 def log_prior_odds_of_repetition(hypothesis: Hypothesis, other_hypotheses: Sequence[Hypothesis]) -> float:
-    """Log prior odds of a second effect with the same name as another effect of the model, which is rare.
+    """Log prior odds of a rare case: a second effect with the same name as another effect of the model.
 
     `other_hypotheses` are the other effects in the model. The result is 0 if none of them has the name of `hypothesis`,
     or if the effect often occurs twice.

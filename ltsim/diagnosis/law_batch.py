@@ -46,19 +46,16 @@ class ScreenedLaw(NamedTuple):
     place: LawPlace
     """Stations, targets or instruments where the empirical law (error as a function of covariates) acts."""
     log_evidence: float
-    """Approximate log evidence of the empirical law (error as a function of covariates), including its log prior
-    probability."""
+    """Approximate log evidence of the empirical law (function of covariates), including its log prior probability."""
     log_prior: float
-    """Log prior probability of the empirical law (error as a function of covariates) at these stations, targets or
-    instruments."""
+    """Log prior probability of the empirical law (function of covariates) at its stations, targets or instruments."""
 
 
 @dataclass(frozen=True)
 class PointingPartition:
     """Partition of the pointings into cells: pointings of the same places (stations, targets or instruments).
 
-    A sum over the pointings of a place, where empirical laws act, is a sum over the cells of the place. An empirical
-    law describes an error as a function of covariates such as time.
+    A sum over the pointings of a place, where empirical laws (functions of covariates) act, is a sum over its cells.
     """
 
     pointing_order: Ints
@@ -74,7 +71,7 @@ class PointingPartition:
     def from_places(cls, places: Sequence[LawPlace], n_pointings: int) -> PointingPartition:
         """Partition of `n_pointings` pointings by the places (stations, targets or instruments) of empirical laws.
 
-        An empirical law describes an error as a function of covariates such as time.
+        An empirical law is an error as a function of covariates.
         """
         is_inside = np.zeros((len(places), n_pointings), dtype=bool)
         for here, place in zip(is_inside, places, strict=True):
@@ -164,16 +161,13 @@ class LawBatch:
     """
 
     responses: tuple[Response, ...]
-    """Quantities (C responses (changed quantities) with c components each) that the empirical laws (errors as functions
-    of covariates) change."""
+    """Quantities (C responses with c components each) that the empirical laws (functions of covariates) change."""
     regressors: tuple[Regressor, ...]
-    """Functions of covariates (D regressors with k columns each) that the empirical laws (errors as functions of
-    covariates) follow."""
+    """Functions of covariates (D regressors with k columns each) to which the empirical laws are proportional."""
     places: tuple[LawPlace, ...]
-    """Stations, targets or instruments where the empirical laws (errors as functions of covariates) act, P places."""
+    """Stations, targets or instruments (P places) where the empirical laws (functions of covariates) act."""
     pointing_partition: PointingPartition
-    """Partition of the pointings by the stations, targets or instruments (places) where the empirical laws (errors as
-    functions of covariates) act."""
+    """Partition of the pointings by the stations, targets or instruments (places) where the empirical laws act."""
     whitened_response_designs: Floats32
     """Whitened change (n, 3, C, c) of the readings of n pointings by the plausible size of each of the c components of
     C responses (changed quantities)."""
@@ -181,8 +175,8 @@ class LawBatch:
     """Design columns of the regressors (functions of covariates), which batches of laws with the same regressors and
     places share."""
     log_prior_by_place: Floats
-    """Log prior probability (P,) of a single empirical law (error as a function of covariates) at each of P places
-    (stations, targets or instruments)."""
+    """Log prior probability (P,) of one empirical law (function of covariates) at each of P places (stations,
+    targets)."""
     _cached_eigen_decompositions: dict[int, list[tuple[Floats, Floats32]]] = field(default_factory=dict, repr=False)
     """Eigen decompositions of Gram matrices scaled by prior standard deviations, by the first index of their range of
     regressors (functions of covariates)."""
@@ -203,8 +197,8 @@ class LawBatch:
         """Empirical laws with the largest evidence at each place, log of the summed evidence of all, and null values.
 
         A place is the stations, targets or instruments where a law acts. The null values (trials,) are the log of the
-        summed evidence for each simulated recording (trial) of the null ensemble. An empirical law describes an error
-        as a function of covariates such as time.
+        summed evidence for each simulated recording (trial) of the null ensemble. An empirical law is an error as a
+        function of covariates.
         """
         count, size = len(self.regressors), self.regressors[0].n_columns
         products = size * self.whitened_response_designs[0, 0].size * len(self.places)
@@ -265,8 +259,8 @@ class LawBatch:
         entry has the eigenvalues (P, C, d, c k) and matrices (P, C, d, c k, c k); the product of such a matrix with the
         scores of a law gives its scores along the eigenvectors. There are P places (stations and targets where a law
         acts), C responses (quantities that it changes) with c components, and d regressors with k columns in
-        `regressor_range`. `gram` has the shape (P, C, d, c k, c k). An empirical law describes an error as a function
-        of covariates such as time.
+        `regressor_range`. `gram` has the shape (P, C, d, c k, c k). An empirical law is an error as a function of
+        covariates.
         """
         transforms = []
         for spread in (spread[regressor_range] for spread in self._prior_sigmas):
@@ -352,8 +346,8 @@ def evaluate_law_batches(
 ) -> list[tuple[list[ScreenedLaw], float, Floats]]:
     """Best laws, log of the summed evidence, and null values (trials,) of each batch of laws, in the order of batches.
 
-    An empirical law describes an error as a function of covariates such as time. The null values are the log of the
-    summed evidence in simulated recordings without effects (trials).
+    An empirical law is an error as a function of covariates. The null values are the log of the summed evidence in
+    simulated recordings without effects (trials).
     """
     by_columns: dict[int, list[int]] = {}
     for i, batch in enumerate(law_batches):

@@ -108,9 +108,8 @@ def _select_effects_given_noise(
 def _alternate_noise_and_effects(state: SelectionState, model: EffectModel) -> tuple[SelectionState, EffectModel]:
     """State of the model selection, and model, after alternating selections of noise hypotheses and of effects.
 
-    They alternate while the evidence increases. Each noise hypothesis is tried in addition to `model`, in place of one
-    of the effects in the model, and in place of all effects. A noise hypothesis says that the noise of some readings
-    differs from the declared noise.
+    Both selections alternate while the evidence increases. Each noise hypothesis is tried in addition to `model`, in
+    place of one of the effects in the model, and in place of all effects. A noise hypothesis is a changed noise.
     """
     for _ in range(MAX_NOISE_HYPOTHESES):
         searcher, hypotheses = state.searcher, model.hypotheses

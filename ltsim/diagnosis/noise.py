@@ -169,7 +169,7 @@ class NoiseHypothesisSet:
     def _group_noise_log_evidence(self, change: GroupNoiseHypothesis, residual: Floats, redundancy: Floats) -> Floats:
         """Log evidence (trials,), with prior, of the changed noise `change` with a size for each group of readings.
 
-        It is computed for a batch of recordings (trials).
+        The evidence is computed for a batch of recordings (trials).
         """
         return change.log_evidence(residual, redundancy) + self.log_prior_of_family(change.name)
 

@@ -22,9 +22,8 @@ dense row, which limits the memory. The fraction refers to the kinds of observat
 class VariancePatternGroup:
     """Group of patterns of added variance, and of noise hypotheses, each of which is a pattern times a size.
 
-    Either all patterns are sparse, or all are dense on the same observation equations. A noise hypothesis says that the
-    noise of some readings differs from the declared noise. A pattern is the added variance of each reading per unit of
-    the size.
+    Either all patterns are sparse, or all are dense on the same observation equations. A noise hypothesis is a changed
+    noise. A pattern is the added variance of each reading per unit of the size.
     """
 
     hypothesis_indices: Ints
@@ -103,10 +102,7 @@ hypotheses with this pattern."""
 
 @dataclass(frozen=True)
 class VarianceFactors:
-    """Variance factors of noise hypotheses, each of which is in one `VariancePatternGroup`.
-
-    A noise hypothesis says that the noise of some readings differs from the declared noise.
-    """
+    """Variance factors of noise hypotheses (changed noise), each of which is in one `VariancePatternGroup`."""
 
     n_hypotheses: int
     """Number h of noise hypotheses (changed noise levels)."""

@@ -73,16 +73,14 @@ class GroupNoiseHypothesis:
     def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
         """Log evidence (trials,) of the noise hypothesis for each recording (trial), from m residuals (m, trials).
 
-        `redundancy` (m,) are the redundancy numbers of the m residuals. A noise hypothesis says that the noise of some
-        readings differs from the declared noise.
+        `redundancy` (m,) are the redundancy numbers of the m residuals. A noise hypothesis is a changed noise.
         """
         raise NotImplementedError
 
     def limited_to_most_probable_place(self, residual: Floats, redundancy: Floats) -> tuple[GroupNoiseHypothesis, ...]:
         """Copies of the noise hypothesis limited to the targets, the station or the region with the largest evidence.
 
-        The result is empty for a hypothesis that cannot be limited in this way. A noise hypothesis says that the noise
-        of some readings differs from the declared noise.
+        The result is empty for a hypothesis that cannot be limited in this way. A noise hypothesis is a changed noise.
         """
         del residual, redundancy
         return ()
@@ -112,7 +110,7 @@ class GroupNoiseHypothesis:
     def most_likely_effect(self, residual: Floats, redundancy: Floats) -> CandidateNoiseEffect:
         """Effect on the noise with the most probable observables and time windows for m whitened residuals (m,).
 
-        Its sizes are estimated afterwards.
+        The sizes of the effect are estimated afterwards.
         """
         del residual, redundancy
         return self.effect
@@ -123,10 +121,9 @@ class RecordingNoiseLevel(GroupNoiseHypothesis):
 
     @classmethod
     def from_residual_space(cls, space: ResidualSpace, *, allows_noise_below_declared: bool) -> RecordingNoiseLevel:
-        """Noise level of a recording, from the residual space of its adjustment.
+        """Noise level of a recording, from the residual space (projected equations) of its adjustment.
 
-        It is below the declared level only if `allows_noise_below_declared`. The residual space contains the whitened
-        equations, projected off the unknowns.
+        It is below the declared level only if `allows_noise_below_declared`.
         """
         level, kind = NoiseLevel(), np.nonzero(space.is_used_reading)[1]
         group_indicators = sp.csr_array(

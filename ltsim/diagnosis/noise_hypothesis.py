@@ -38,25 +38,22 @@ class NoiseHypothesis:
 
     @property
     def log_prior(self) -> float:
-        """Log prior probability of this kind of noise hypothesis: of the catalogue, or outside it.
-
-        A noise hypothesis says that the noise of some readings differs from the declared noise.
-        """
+        """Log prior probability of this kind of noise hypothesis (changed noise): of the catalogue, or outside it."""
         return log_prior_of_each_explanation("scatter" if self.family_name.startswith("unknown") else "noise", 1)
 
     @property
     def log_prior_times_occam_factor(self) -> float:
         """Log of the prior times the Occam factor: log evidence minus log likelihood ratio of the estimated sizes.
 
-        It is limited to the log prior, because a log evidence without approximation may exceed a log likelihood ratio
-        with independent readings.
+        The result is limited to the log prior, because a log evidence without approximation may exceed a log likelihood
+        ratio with independent readings.
         """
         return min(self.log_evidence - 0.5 * self.chi2_drop, self.log_prior)
 
     def sum_with(self, added_change: NoiseHypothesis) -> NoiseHypothesis:
         """Sum of this noise hypothesis and a further one with the same effect: their sizes are added.
 
-        A noise hypothesis says that the noise of some readings differs from the declared noise.
+        A noise hypothesis is a changed noise.
         """
         return replace(
             self,
@@ -71,8 +68,7 @@ def log_prior_of_noise_family(family_name: str, family_names: Collection[str]) -
     """Log prior probability of the kind of noise hypothesis `family_name` among the kinds `family_names`.
 
     A kind is a catalogue effect, or begins with `unknown`. The probability of a change in the catalogue is divided in
-    proportion to the base rates of the effects. A noise hypothesis says that the noise of some readings differs from
-    the declared noise.
+    proportion to the base rates of the effects. A noise hypothesis is a changed noise.
     """
     in_catalogue = [name for name in family_names if not name.startswith("unknown")]
     if family_name.startswith("unknown"):

@@ -39,11 +39,10 @@ region is bounded."""
 def candidate_variance_functions(
     sightings: Sightings, instrument_places: Sequence[LawPlace]
 ) -> Iterator[tuple[str, VarianceFunction, tuple[float, ...]]]:
-    """Noise hypotheses outside the catalogue: tuples of name, variance function, sizes to be tried.
+    """Noise hypotheses (changed noise) outside the catalogue: tuples of name, variance function, sizes to be tried.
 
     A variance function gives the variance as a function of a covariate or place. `instrument_places` has the set-ups of
-    each instrument, if there are several instruments. A noise hypothesis says that the noise of some readings differs
-    from the declared noise.
+    each instrument, if there are several instruments.
     """
     regressors = ["elevation", "distance", "time", "station-time", "move-azimuth", "move-elevation"]
     regressors += ["incidence"] if np.isfinite(sightings.incidence_angle).any() else []

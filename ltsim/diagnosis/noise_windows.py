@@ -122,7 +122,7 @@ class NoiseWindows(GroupNoiseHypothesis):
     def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
         """Log evidence (trials,) for each recording (trial), from m residuals (m, trials) with redundancy numbers (m,).
 
-        It is averaged over sets of observables, variance factors, and expected numbers of time windows.
+        The evidence is averaged over sets of observables, variance factors, and expected numbers of time windows.
         """
         gains = np.exp(self._log_likelihood_ratios(residual, redundancy))
         p_change = self._state_change_probabilities[:, None, None, None]
@@ -212,7 +212,7 @@ class NoiseWindows(GroupNoiseHypothesis):
     def _log_evidence_of_effect(self, effect: VarianceFunction, residual: Floats, redundancy: Floats) -> float:
         """Log evidence of a noise hypothesis with given time windows and place, averaged over variance factors.
 
-        A noise hypothesis says that the noise of some readings differs from the declared noise.
+        A noise hypothesis is a changed noise.
         """
         space = self.residual_space
         added = (effect.variance(space.sightings, space.reading_sigmas, np.ones(1)) / space.reading_sigmas**2)[

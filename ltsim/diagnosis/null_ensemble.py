@@ -109,8 +109,8 @@ class NullEnsemble:
     def split_products(self, scores: Floats | Floats32) -> tuple[Any, Any, Any]:
         """Products of k columns with residuals (..., k), t trials (..., k, t) and u basis vectors (..., k, u).
 
-        They are the parts of `scores` (..., k, v), the products of k design columns with all v vectors of the ensemble
-        side by side.
+        The results are the parts of `scores` (..., k, v), the products of k design columns with all v vectors of the
+        ensemble side by side.
         """
         edge = 1 + self.n_trials
         return scores[..., 0], scores[..., 1:edge], scores[..., edge:]

@@ -75,8 +75,9 @@ def effects_of_uncorrected_causes(selection: CauseSelection) -> tuple[CandidateE
 def single_error_mask(fit: NetworkFit) -> Bools:
     """Flags (n, 3) of the outliers of n pointings that count as single errors and not as results of an effect.
 
-    They are gross errors, and large errors that are single. If several readings of an observable are wrong at one
-    station or at one target, an effect may be the cause. `fit` is the adjustment with the outliers.
+    Single errors are gross errors, and large errors without others at the same place. If several readings of an
+    observable are wrong at one station or at one target, an effect may be the cause. `fit` is the adjustment with the
+    outliers.
     """
     error = np.where(fit.is_outlier, np.abs(fit.whitened_residuals), 0.0) / fit.outlier_prediction_error_sigmas
     has_estimated_noise = any(isinstance(h.model_change, NoiseFactorChange) for h in fit.hypotheses)

@@ -257,8 +257,8 @@ class Searcher:
     ) -> tuple[ParameterEstimate, ...]:
         """Estimates of the parameters and shape parameters of a hypothesis.
 
-        They are `refit_estimates`, or means over all values of the shape parameters if these means have much larger
-        standard deviations (`MIN_INTEGRATED_TO_REFIT_SIGMA_RATIO`).
+        The result is `refit_estimates`, or means over all values of the shape parameters if these means have much
+        larger standard deviations (`MIN_INTEGRATED_TO_REFIT_SIGMA_RATIO`).
         """
         effect = hypothesis.effect
         if isinstance(effect, EmpiricalLaw):

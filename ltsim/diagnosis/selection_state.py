@@ -135,7 +135,7 @@ class SelectionState:
         Without effects and noise hypotheses it is the ordinary adjustment. Parameters have a prior standard deviation
         of `WIDE_PRIOR_SIGMA_FACTOR` times their plausible size, because the readings may not determine some
         combinations. Centring errors among `selected_noise_hypotheses` (by default those of the state) are in the
-        model. A noise hypothesis says that the noise of some readings differs from the declared noise.
+        model. A noise hypothesis is a changed noise.
         """
         selected_noise_hypotheses = (
             self.selected_noise_hypotheses if selected_noise_hypotheses is None else selected_noise_hypotheses
@@ -156,7 +156,8 @@ class SelectionState:
         def with_causes(effects: Sequence[LinearEffect], start_state: NetworkState) -> Adjustment:
             """Adjustment with `effects` in addition to the simple causes of the ordinary adjustment.
 
-            It starts from the unknowns `start_state`. Simple causes are, for example, outliers and moved targets.
+            The adjustment starts from the unknowns `start_state`. Simple causes are, for example, outliers and moved
+            targets.
             """
             return adjusted(effects=(*effects, *old.effects), start_state=start_state)
 
@@ -198,8 +199,7 @@ class SelectionState:
     def ranked_noise_hypotheses(self, model: EffectModel) -> list[tuple[float, NoiseHypothesis]]:
         """Pairs of a log evidence and the most probable noise hypothesis of each kind, given the effects of a model.
 
-        They are sorted by decreasing evidence. A noise hypothesis says that the noise of some readings differs from the
-        declared noise.
+        The pairs are sorted by decreasing evidence. A noise hypothesis is a changed noise.
         """
         redundancy = self.residual_space.redundancy - np.sum(model.projected_basis**2, axis=1)
         ranked = self.noise_hypotheses.ranked_noise_hypotheses(model.residual, redundancy, model.projected_basis)
@@ -211,7 +211,7 @@ class SelectionState:
         """State of the model selection after the addition of a noise hypothesis, estimated with `effects` in the model.
 
         If a hypothesis with the same effect was selected before, the sizes are added. All noise hypotheses are then
-        estimated together. A noise hypothesis says that the noise of some readings differs from the declared noise.
+        estimated together. A noise hypothesis is a changed noise.
         """
         new_change = with_estimated_sizes(
             self.residual_space.with_effects(effects), self.residual_space.reading_sigmas, hypothesis
@@ -229,7 +229,7 @@ class SelectionState:
     def _with_selected_noise_hypotheses(self, selected_noise_hypotheses: Sequence[NoiseHypothesis]) -> SelectionState:
         """State of the model selection with other noise hypotheses, and the standard deviations that follow from them.
 
-        A noise hypothesis says that the noise of some readings differs from the declared noise.
+        A noise hypothesis is a changed noise.
         """
         changed = self._with_attributes(selected_noise_hypotheses=tuple(selected_noise_hypotheses))
         return changed._with_attributes(reading_sigmas=changed._sigmas_with_noise_hypotheses(selected_noise_hypotheses))
@@ -239,8 +239,7 @@ class SelectionState:
         """Log evidence of the selected noise hypotheses without effects, up to a constant of the recording.
 
         It is the restricted log likelihood of the present adjustment, plus a term for each hypothesis. The term is its
-        log evidence minus its log likelihood ratio at the time of its selection. A noise hypothesis says that the noise
-        of some readings differs from the declared noise.
+        log evidence minus its log likelihood ratio at the time of its selection. A noise hypothesis is a changed noise.
         """
         return log_restricted_likelihood(self.residual_space.adjustment) + sum(
             n.log_prior_times_occam_factor for n in self.selected_noise_hypotheses
@@ -307,8 +306,8 @@ class SelectionState:
     def expected_variance_factors(self, effects: Sequence[CandidateEffect]) -> Floats:
         """Posterior mean (n, 3) of factors on the declared variances of n pointings, with `effects` in the model.
 
-        Each selected noise hypothesis is averaged over its alternatives, given the others. A noise hypothesis says that
-        the noise of some readings differs from the declared noise.
+        Each selected noise hypothesis is averaged over its alternatives, given the others. A noise hypothesis is a
+        changed noise.
         """
         factors = np.ones(self.reading_sigmas.shape)
         for change in (n for n in self.selected_noise_hypotheses if not isinstance(n.effect, CentringVariance)):
@@ -332,8 +331,7 @@ class SelectionState:
     def with_pruned_noise(self, effects: Sequence[CandidateEffect]) -> SelectionState:
         """State of the model selection with new estimates of the noise, with `effects` in the model.
 
-        Noise hypotheses without a positive log evidence are removed. A noise hypothesis says that the noise of some
-        readings differs from the declared noise.
+        Noise hypotheses without a positive log evidence are removed. A noise hypothesis is a changed noise.
         """
         state = self._with_estimated_variances(effects)
         supported = [
@@ -346,7 +344,7 @@ class SelectionState:
     def _sigmas_with_noise_hypotheses(self, selected_noise_hypotheses: Sequence[NoiseHypothesis]) -> Floats:
         """Standard deviations (n, 3) [m, rad, rad] of the readings of n pointings with the given noise hypotheses.
 
-        A noise hypothesis says that the noise of some readings differs from the declared noise.
+        A noise hypothesis is a changed noise.
         """
         sigma, sightings = self.recording.reading_sigmas(), self.baseline_adjustment.sightings
         for change in selected_noise_hypotheses:

@@ -116,7 +116,7 @@ def law_sentence(
     """Sentences on an empirical law outside the catalogue: changed quantity, function, place, size, probability.
 
     `law_text` is the description of the law, and `p_same_scope` the probability of any effect with the same scope
-    (observables, place, covariates). An empirical law describes an error as a function of covariates such as time.
+    (observables, place, covariates). An empirical law is an error as a function of covariates.
     """
     sizes_text = estimates_phrase(parameters)
     size_phrase = f" ({sizes_text})" if sizes_text else ""

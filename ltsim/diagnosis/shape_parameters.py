@@ -160,7 +160,7 @@ class ShapeParameterNode(NamedTuple):
 def _index_and_duration_of_gap(effect: CandidateEffect, sightings: Sightings) -> tuple[int, float]:
     """Index of the gap between pointings in which an effect changes, and duration [s] of the gap.
 
-    They are -1 and 0 for an effect without a change at one time.
+    Index and duration are -1 and 0 for an effect without a change at one time.
     """
     ordered = np.unique(sightings.time[effect.pointing_indicator(sightings) > 0])
     time = vars(effect).get("time")

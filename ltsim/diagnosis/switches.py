@@ -45,7 +45,7 @@ always on. At this limit an empirical law acts on about one pointing in a thousa
 class SpanGramAndScore(NamedTuple):
     """Gram matrix and score of an empirical law with separate coefficients in each of S spans of its covariate.
 
-    An empirical law describes an error as a function of covariates such as time.
+    An empirical law is an error as a function of covariates.
     """
 
     gram: Floats
@@ -63,8 +63,8 @@ def n_tried_waves_of_same_covariate(law: EmpiricalLaw, sightings: Sightings) -> 
     """Number of waves of the same covariate that a diagnosis tried, if an empirical law has a wave; otherwise 1.
 
     The law with the most probable of these waves represents any switch. The prior of the switch is therefore the prior
-    of the law multiplied by the number of waves. An empirical law describes an error as a function of covariates such
-    as time. A switch is on in some intervals of a covariate, and off in the others.
+    of the law multiplied by the number of waves. An empirical law is an error as a function of covariates. A switch is
+    on in some intervals of a covariate, and off in the others.
     """
     swing = law.switchable_factor
     if swing is None or swing.kind != "wave":
@@ -84,7 +84,7 @@ def switched_forms(
 
     `log_prior` is the log prior probability of a copy. The effects of `conditioning_model` are estimated in addition.
     If the law has a region of the hall, a local search fits the region before the times, unless `refines_region` is
-    false. An empirical law describes an error as a function of covariates such as time.
+    false. An empirical law is an error as a function of covariates.
     """
     sightings = calculator.residual_space.sightings
     edges = law.candidate_switch_steps(sightings)
@@ -114,8 +114,8 @@ def _forms_with_formula_as_second_factor(
     """List of an empirical law with a switch in which a formula replaces the curve in the other factor of the law.
 
     The list is empty if `form`, the law, has no curve. The effects of `conditioning_model` are estimated in addition.
-    An empirical law describes an error as a function of covariates such as time. A switch is on in some intervals of a
-    covariate, and off in the others.
+    An empirical law is an error as a function of covariates. A switch is on in some intervals of a covariate, and off
+    in the others.
     """
     law = form.effect
     assert isinstance(law, EmpiricalLaw)
@@ -141,7 +141,7 @@ def _span_gram_and_score(
     """Gram matrix and score of an empirical law with separate coefficients in each interval of its covariate.
 
     The intervals extend from each of the steps `step_regressors` to the next. The effects of `conditioning_model` are
-    estimated in addition. An empirical law describes an error as a function of covariates such as time.
+    estimated in addition. An empirical law is an error as a function of covariates.
     """
     sightings, count = calculator.residual_space.sightings, len(step_regressors)
     x = sightings.covariate_values[step_regressors[0].covariates[0]]
@@ -229,10 +229,9 @@ def _is_identifiable_switch(law: EmpiricalLaw, edge_regressors: Sequence[Regress
 
 
 def _switches_targets(law: EmpiricalLaw, edge_regressors: Sequence[Regressor], sightings: Sightings) -> bool:
-    """True if a switched empirical law is on for several targets and off for several targets.
+    """True if a switched empirical law (function of covariates) is on for several targets and off for several targets.
 
-    Otherwise the cause is an error of a single target. `edge_regressors` are the steps at the edges of the switch. An
-    empirical law describes an error as a function of covariates such as time.
+    Otherwise the cause is an error of a single target. `edge_regressors` are the steps at the edges of the switch.
     """
     on = law.with_switch(edge_regressors).columns(sightings)[:, 0] != 0.0
     counts = [len(np.unique(sightings.target[acts])) for acts in (on, ~on)]

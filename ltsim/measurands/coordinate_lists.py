@@ -23,7 +23,9 @@ def matched_lists(
     """
     axes = "".join(axis for axis in first.axes if axis in second.axes)
     if not axes:
-        raise ModelError(f"the first list has the axes {first.axes}, the second {second.axes}, and none is in both")
+        raise ModelError(
+            f"the first list has the axes {first.axes} and the second {second.axes}; no axis is in both lists"
+        )
     notes = []
     if first.axes != second.axes:
         notes.append(f"the first list has the axes {first.axes}, the second {second.axes}: only {axes} are compared")

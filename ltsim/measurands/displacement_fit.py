@@ -28,7 +28,7 @@ of other unknowns; the value is the square of the smallest fraction of a column 
 class WhitenedDifferences:
     """Coordinate differences of N points in `n_axes` axes, whitened by the root of their inverse covariance."""
 
-    root: Floats
+    whitening_root: Floats
     """Root R of the inverse covariance, shape (m, N axes); m is the rank of the covariance."""
     differences: Floats
     """Coordinate differences, second minus first epoch, point by point, shape (N axes,) [m]."""
@@ -41,18 +41,18 @@ class WhitenedDifferences:
     @cached_property
     def observations(self) -> Floats:
         """Whitened coordinate differences R d, shape (m,); m is the rank of their covariance."""
-        return self.root @ self.differences
+        return self.whitening_root @ self.differences
 
     @cached_property
     def motion_design(self) -> Floats:
         """Whitened design of the free motions (rigid motions of all points), shape (m whitened rows, free motions)."""
-        return self.root @ self.free_motions
+        return self.whitening_root @ self.free_motions
 
-    def rows(self, points: Sequence[int]) -> Ints:
+    def point_coordinate_indices(self, points: Sequence[int]) -> Ints:
         """Indices, in the vector of all coordinates, of the coordinates of the points with the indices `points`."""
         return coordinate_indices(points, self.n_axes)
 
-    def blocks(self, columns: Floats) -> Floats:
+    def blocks_by_point(self, columns: Floats) -> Floats:
         """Columns (m, N axes) of a design matrix, rearranged as one block for each of N points, shape (N, axes, m)."""
         return columns.T.reshape(-1, self.n_axes, len(columns))
 
@@ -69,7 +69,7 @@ class WhitenedDifferences:
         """
         start = self.fit(())
         tests, basis, moved = start.point_tests, start.basis, list[int]()
-        is_open = np.isin(np.arange(len(tests.gradients)), tested)
+        is_open = np.isin(np.arange(len(tests.right_sides)), tested)
         while len(moved) < min(len(tested), max_moved):
             drops = np.where(is_open, tests.chi2_drops, -np.inf)
             best = int(np.argmax(drops))
@@ -79,17 +79,19 @@ class WhitenedDifferences:
             is_open[best] = False
             added = self._residual_basis(basis, best, tests.column_norms[best])
             basis = np.hstack([basis, added])
-            change = (added.T @ self.root).reshape(added.shape[1], -1, self.n_axes)
+            change = (added.T @ self.whitening_root).reshape(added.shape[1], -1, self.n_axes)
             tests = PointTests(
-                tests.normals - np.einsum("bna,bnc->nac", change, change),
-                tests.gradients - np.einsum("bna,b->na", change, added.T @ self.observations),
+                tests.normal_equations - np.einsum("bna,bnc->nac", change, change),
+                tests.right_sides - np.einsum("bna,b->na", change, added.T @ self.observations),
                 tests.column_norms,
             )
         return self._without_insignificant(moved, limit)
 
     def _residual_basis(self, basis: Floats, point: int, column_norms: Floats) -> Floats:
         """Orthonormal basis (m, k) of the k columns of a point without their part in the space of `basis` (m, q)."""
-        columns = self.root[:, self.rows([point])] / np.where(column_norms > 0, column_norms, np.inf)
+        columns = self.whitening_root[:, self.point_coordinate_indices([point])] / np.where(
+            column_norms > 0, column_norms, np.inf
+        )
         for _ in range(2):  # a second time for rounding errors of the first
             columns = columns - basis @ (basis.T @ columns)
         vectors, sizes, _ = np.linalg.svd(columns, full_matrices=False)
@@ -104,7 +106,7 @@ class WhitenedDifferences:
         values, covariance = self.fit(moved).displacements
         remaining_points = list(moved)
         for point in moved:
-            point_rows = self.rows([remaining_points.index(point)])
+            point_rows = self.point_coordinate_indices([remaining_points.index(point)])
             others = np.setdiff1d(np.arange(len(values)), point_rows)
             weight = np.linalg.pinv(covariance[np.ix_(point_rows, point_rows)], hermitian=True)
             if values[point_rows] @ weight @ values[point_rows] < limit:
@@ -119,10 +121,10 @@ class WhitenedDifferences:
 class PointTests:
     """Tests of a displacement of each of N points in addition to a fit."""
 
-    normals: Floats
+    normal_equations: Floats
     """Normal equations of the displacement of each point after elimination of the unknowns of the fit, shape (N, axes,
     axes)."""
-    gradients: Floats
+    right_sides: Floats
     """Right sides of the normal equations of the points, shape (N, axes): products of the residuals of the fit with the
     design columns of each point, without the part of these columns that the fit contains."""
     column_norms: Floats
@@ -133,7 +135,7 @@ class PointTests:
     def _eigensystem(self) -> tuple[Floats, Floats, Floats]:
         """Eigenvalues (N, axes), eigenvectors (N, axes, axes) and scales (N, axes) of the scaled normal equations."""
         scale = np.divide(1.0, self.column_norms, out=np.zeros_like(self.column_norms), where=self.column_norms > 0)
-        return (*np.linalg.eigh(self.normals * scale[:, :, None] * scale[:, None, :]), scale)
+        return (*np.linalg.eigh(self.normal_equations * scale[:, :, None] * scale[:, None, :]), scale)
 
     @property
     def are_determined(self) -> Bools:
@@ -150,7 +152,7 @@ class PointTests:
     @cached_property
     def chi2_drops(self) -> Floats:
         """Reductions of the sum of squared residuals by an additional displacement of each point, shape (N,)."""
-        return np.square(np.einsum("nab,na->nb", self._covariance_root, self.gradients)).sum(axis=1)
+        return np.square(np.einsum("nab,na->nb", self._covariance_root, self.right_sides)).sum(axis=1)
 
     @cached_property
     def covariances(self) -> Floats:
@@ -158,9 +160,9 @@ class PointTests:
         return self._covariance_root @ self._covariance_root.transpose(0, 2, 1)
 
     @cached_property
-    def values(self) -> Floats:
+    def displacements(self) -> Floats:
         """Estimated displacement [m] of each point, shape (N, axes)."""
-        return np.einsum("nab,nb->na", self.covariances, self.gradients)
+        return np.einsum("nab,nb->na", self.covariances, self.right_sides)
 
 
 @dataclass(frozen=True)
@@ -173,7 +175,8 @@ class DisplacementFit:
     @cached_property
     def _scaled_design(self) -> tuple[Floats, Floats]:
         """Whitened design, free motions first, with columns of norm 1, (m, q), and the norms of its columns, (q,)."""
-        design = np.hstack([self.data.motion_design, self.data.root[:, self.data.rows(self.moved)]])
+        moved_columns = self.data.whitening_root[:, self.data.point_coordinate_indices(self.moved)]
+        design = np.hstack([self.data.motion_design, moved_columns])
         norms = np.linalg.norm(design, axis=0)
         return design / norms, norms
 
@@ -220,9 +223,9 @@ class DisplacementFit:
     @cached_property
     def point_tests(self) -> PointTests:
         """Tests of a displacement of each point in addition to the fit; undefined for the points `moved`."""
-        root, axes = self.data.root, self.data.n_axes
+        root, axes = self.data.whitening_root, self.data.n_axes
         residual_design = root - self.basis @ (self.basis.T @ root)
-        blocks = self.data.blocks(residual_design)
+        blocks = self.data.blocks_by_point(residual_design)
         residuals = self.data.observations - self.basis @ (self.basis.T @ self.data.observations)
         norms = np.linalg.norm(residual_design, axis=0)
         norms[norms < NORMAL_EQUATIONS_TOLERANCE * np.linalg.norm(root, axis=0)] = 0.0
@@ -239,9 +242,9 @@ class DisplacementFit:
             drop = float(tests.chi2_drops[point])
             if not tests.are_determined[point]:
                 return (*self.data.fit([*self.moved, point]).displacement(point)[:2], drop)
-            return tests.values[point], tests.covariances[point], drop
+            return tests.displacements[point], tests.covariances[point], drop
         values, covariance = self.displacements
-        point_rows = self.data.rows([self.moved.index(point)])
+        point_rows = self.data.point_coordinate_indices([self.moved.index(point)])
         block = covariance[np.ix_(point_rows, point_rows)]
         return (
             values[point_rows],

@@ -55,7 +55,7 @@ class ExpectedPrecision:
         """
         built = construction or misalignment_construction()
         if not survey.is_visible.size:
-            raise NetworkError("no station sees a target")
+            raise NetworkError("no station sees any target")
         unseen = np.flatnonzero(~survey.is_visible.any(axis=0))
         if len(unseen):
             raise NetworkError(f"target {survey.target_names[unseen[0]]} is not visible from any station")

@@ -69,20 +69,20 @@ class PositionRule(ABC):
 
 @dataclass(frozen=True)
 class StandingAreaRule(PositionRule):
-    """A tripod stands in a permitted area, with the tracker head between the heights of this area."""
+    """Rule that a tripod stands in a permitted area, with the tracker head between the heights of this area."""
 
     areas: tuple[StandingArea, ...]
     """Areas where tripods may stand."""
 
     def is_broken(self, position: Floats) -> Bools:
-        """Flags (N,): True for each of N positions (N, 3) [m] outside all areas or their ranges of height."""
+        """Flags (N,): True for each of N positions (N, 3) [m] outside all permitted areas or their ranges of height."""
         is_in_area = np.zeros(len(position), dtype=bool)
         for area in self.areas:
             is_in_area |= area.contains_instrument(position)
         return ~is_in_area
 
     def reason(self, position: Floats) -> str:
-        """Reason with the permitted heights if the position (3,) [m] is over an area."""
+        """Reason why a position (3,) [m] is not permitted, with the permitted heights over a permitted area."""
         areas_below = [area for area in self.areas if area.covers_positions(position[None, :2])[0]]
         if not areas_below:
             return "outside the permitted floor (floor.corners_mm, floor.areas, floor.margin_mm)"
@@ -93,26 +93,26 @@ class StandingAreaRule(PositionRule):
 
 @dataclass(frozen=True)
 class KeepOutRule(PositionRule):
-    """No tripod stands in an area to be kept free."""
+    """Rule that no tripod stands in an area to be kept free."""
 
     areas: tuple[KeepOutArea, ...]
     """Areas to be kept free of tripods."""
 
     def is_broken(self, position: Floats) -> Bools:
-        """Flags (N,): True for each of N positions (N, 3) [m] in an area or its clearance."""
+        """Flags (N,): True for each of N positions (N, 3) [m] in an area to be kept free, or in its clearance."""
         is_in_area = np.zeros(len(position), dtype=bool)
         for area in self.areas:
             is_in_area |= area.contains_positions(position[:, :2])
         return is_in_area
 
     def reason(self, position: Floats) -> str:
-        """Reason with the keys of the areas."""
+        """Reason why a position (3,) [m] is not permitted: keys of the areas to be kept free in which it lies."""
         return "in an area to be kept free (floor.keep_outs, floor.doors)"
 
 
 @dataclass(frozen=True)
 class ObstacleRule(PositionRule):
-    """No tripod stands inside a body of the hall."""
+    """Rule that no tripod stands inside a body of the hall."""
 
     obstacles: Obstacles
     """Bodies of the hall."""
@@ -122,24 +122,24 @@ class ObstacleRule(PositionRule):
         return self.obstacles.is_setup_inside_body(position)
 
     def reason(self, position: Floats) -> str:
-        """Reason with the names of the bodies around the position (3,) [m]."""
+        """Reason why a position (3,) [m] is not permitted: names of the bodies of the hall that contain it."""
         names = self.obstacles.body_names_around(position[None], of_setups=True)
         return f"inside an obstacle (workshop.obstacles{': ' if names else ''}{', '.join(names)})"
 
 
 @dataclass(frozen=True)
 class ClearanceRule(PositionRule):
-    """The stand of an instrument keeps a clearance from the bodies of the hall."""
+    """Rule that the stand of an instrument keeps a clearance from the bodies of the hall."""
 
     clearance: StandClearance
     """Clearance around stands."""
 
     def is_broken(self, position: Floats) -> Bools:
-        """Flags (N,): True for each of N positions (N, 3) [m] with a body in the clearance."""
+        """Flags (N,): True for each of N positions (N, 3) [m] with a body of the hall in the clearance of the stand."""
         return ~self.clearance.has_room(position)
 
     def reason(self, position: Floats) -> str:
-        """Reason with the distance and the name of the nearest body."""
+        """Reason why a position (3,) [m] is not permitted: distance and name of the nearest body of the hall."""
         distance, body = self.clearance.nearest_body(position)
         words = f"{distance:.3f} m from {body or 'a body'}, closer than {self.clearance.radius:g} m"
         return f"{words} (stations.clearance_mm)"
@@ -189,7 +189,7 @@ class LayoutRule(ABC):
 
 @dataclass(frozen=True)
 class CoincidenceRule(LayoutRule):
-    """No station coincides with a target; the elements are the pairs of a station and a target."""
+    """Rule that no station coincides with a target; the elements are the pairs of a station and a target."""
 
     target_points: Floats
     """Coordinates (T, 3) [m] of the targets."""
@@ -202,7 +202,7 @@ class CoincidenceRule(LayoutRule):
         return is_same.reshape(len(position), -1)
 
     def sentences(self, survey: PlannedSurvey, broken: Ints) -> list[BrokenRule]:
-        """Sentence on each pair."""
+        """Sentence on each pair of a station and a target at the same point; `broken` (k,) are indices of pairs."""
         pairs = zip(*np.divmod(broken, len(self.target_points)), strict=True)
         return [
             BrokenRule(
@@ -215,10 +215,10 @@ class CoincidenceRule(LayoutRule):
 
 @dataclass(frozen=True)
 class SpacingRule(LayoutRule):
-    """Two stations keep a horizontal distance from each other; the elements are the pairs of stations."""
+    """Rule that two stations keep a horizontal distance from each other; the elements are the pairs of stations."""
 
     min_spacing: float
-    """Smallest horizontal distance [m]."""
+    """Smallest permitted horizontal distance [m] of two stations."""
 
     def is_too_near(self, distance: Floats) -> Bools:
         """Flags, with the shape of `distance` [m]: True where a horizontal distance of two stations is too small."""
@@ -230,7 +230,7 @@ class SpacingRule(LayoutRule):
         return self.is_too_near(np.linalg.norm(position[:, first, :2] - position[:, second, :2], axis=2))
 
     def sentences(self, survey: PlannedSurvey, broken: Ints) -> list[BrokenRule]:
-        """Sentence on each pair, with its distance."""
+        """Sentence on each pair of stations that are too near each other, with their distance."""
         names, position = survey.station_names, survey.station_positions
         pairs = np.column_stack(np.triu_indices(len(names), 1))[broken].tolist()
         return [
@@ -245,7 +245,7 @@ class SpacingRule(LayoutRule):
 
 @dataclass(frozen=True)
 class TargetSightsRule(LayoutRule):
-    """Enough stations see each target; the elements are the targets."""
+    """Rule that enough stations see each target; the elements are the targets."""
 
     min_sights_per_target: int
     """Smallest number of stations that must see each target."""
@@ -255,7 +255,7 @@ class TargetSightsRule(LayoutRule):
         return np.asarray(is_visible.sum(axis=1) < self.min_sights_per_target)
 
     def sentences(self, survey: PlannedSurvey, broken: Ints) -> list[BrokenRule]:
-        """Sentence, in a list, on all targets that break the rule."""
+        """Sentence, in a list, on all targets that too few stations see."""
         named = names_text([survey.target_names[t] for t in broken], MAX_NAMES_IN_RULE_TEXT)
         verb = "is" if len(broken) == 1 else "are"
         stations = f"{self.min_sights_per_target} station{'s' if self.min_sights_per_target > 1 else ''}"
@@ -271,14 +271,14 @@ def sees_enough_targets(is_visible: Bools) -> Bools:
 
 
 class StationSightsRule(LayoutRule):
-    """Each station sees enough targets to determine its pose; the elements are the stations."""
+    """Rule that each station sees enough targets to determine its pose; the elements are the stations."""
 
     def violations(self, position: Floats, is_visible: Bools) -> Bools:
         """Flags (B, S): True for a station that sees too few targets."""
         return ~sees_enough_targets(is_visible)
 
     def sentences(self, survey: PlannedSurvey, broken: Ints) -> list[BrokenRule]:
-        """Sentence on each station, with the number of targets that it sees."""
+        """Sentence on each station that sees too few targets, with the number of targets that it sees."""
         return [
             BrokenRule(
                 f"{survey.station_names[s]} sees {survey.is_visible[s].sum()} targets, expected at least "
@@ -290,12 +290,12 @@ class StationSightsRule(LayoutRule):
 
 @dataclass(frozen=True)
 class NestAimRule(LayoutRule):
-    """Each fixed nest can be aimed so that it returns the beams of all stations; the elements are the nests."""
+    """Rule that each fixed nest can be aimed so that it returns the beams of all stations; the elements are nests."""
 
-    names: tuple[str, ...]
+    target_names: tuple[str, ...]
     """Names of the targets in k fixed nests."""
-    points: Floats
-    """Coordinates (k, 3) [m] of these targets."""
+    target_points: Floats
+    """Coordinates (k, 3) [m] of the targets in k fixed nests."""
     max_incidence_angle: float
     """Acceptance angle [rad] of a nest."""
     position_tolerance: float
@@ -303,15 +303,15 @@ class NestAimRule(LayoutRule):
 
     def violations(self, position: Floats, is_visible: Bools) -> Bools:
         """Flags (B, k): True for a fixed nest that cannot be aimed at all stations."""
-        back = position[:, None] - self.points[:, None, :]
+        back = position[:, None] - self.target_points[:, None, :]
         range_ = np.linalg.norm(back, axis=3, keepdims=True)
         cosine = np.einsum("btsk,btk->bts", back / range_, narrowest_cone_axes(back / range_, MAX_NEST_AIMING_STEPS))
         incidence = np.arccos(np.clip(cosine, -1.0, 1.0)) + self.position_tolerance / range_[..., 0]
         return np.asarray(incidence.max(axis=2) >= self.max_incidence_angle - NEST_ANGLE_MARGIN)
 
     def sentences(self, survey: PlannedSurvey, broken: Ints) -> list[BrokenRule]:
-        """Sentence, in a list, on all nests that break the rule."""
-        named = names_text([self.names[k] for k in broken], MAX_NAMES_IN_RULE_TEXT)
+        """Sentence, in a list, on all fixed nests that cannot be aimed at all stations."""
+        named = names_text([self.target_names[k] for k in broken], MAX_NAMES_IN_RULE_TEXT)
         return [BrokenRule(f"fixed nests of {named} cannot be aimed at all stations (smr.acceptance_deg)")]
 
 

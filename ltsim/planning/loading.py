@@ -200,7 +200,7 @@ def read_points(path: Path) -> tuple[PlanPoint, ...]:
         for name in table.additional_columns:
             if name not in columns:
                 wanted = f"expected name, x, y, z and, optional, {', '.join(columns)}"
-                raise RecordError(f"has the unknown column '{safe_excerpt(name)}'; {wanted}", file=path)
+                raise RecordError(f"the file has the unknown column '{safe_excerpt(name)}'; {wanted}", file=path)
         _require_few_points(len(table.names), path)
         return tuple(_point_from_table(table, i, path) for i in range(len(table.names)))
 

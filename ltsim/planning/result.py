@@ -310,7 +310,7 @@ def with_cad_file_copies(scenario: Scenario) -> tuple[Scenario, dict[str, bytes]
         try:
             contents[names[path]] = read_whole_file(Path(path))
         except OSError as problem:
-            raise InputError(f"{path}: cannot be read ({problem.strerror})") from None
+            raise InputError(f"{path}: the file cannot be read ({problem.strerror})") from None
     obstacles = tuple(
         entry if entry.file is None else entry.model_copy(update={"file": names[entry.file]})
         for entry in scenario.workshop.obstacles

@@ -229,7 +229,7 @@ def check_tolerances(
     )
     try:
         if not visible.any():
-            raise NetworkError("no station sees a target")
+            raise NetworkError("no station sees any target")
         information = ExpectedPrecision.from_survey(survey.with_targets_only(visible), construction)
     except NetworkError:
         return ToleranceCheck(lost_station_or_sight, tolerances.tolerance_by_point_m, {}, np.inf, "", unseen)

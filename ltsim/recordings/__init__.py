@@ -25,11 +25,11 @@ _MODULES = {
 _MODULE_BY_NAME = {name: module for module, names in _MODULES.items() for name in names}
 
 
-def _load(name: str) -> Any:
+def _load_public_name(name: str) -> Any:
     if name not in _MODULE_BY_NAME:
         raise AttributeError(f"module 'ltsim.recordings' has no attribute '{name}'")
     return getattr(import_module(f"ltsim.recordings.{_MODULE_BY_NAME[name]}"), name)
 
 
 if not TYPE_CHECKING:
-    __getattr__ = _load
+    __getattr__ = _load_public_name

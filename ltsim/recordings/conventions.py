@@ -53,7 +53,7 @@ MAX_ROWS_IN_NOTE = 3
 
 @dataclass(frozen=True)
 class Hints:
-    """Answers of the user to what a file leaves open (units, senses, names); None lets the data decide.
+    """Hints of the user on units, senses and names that a file does not determine; None lets the data decide.
 
     `angle` and `length` are units, `vertical` the kind of vertical angle, `azimuth` its sense. `points` is a file of
     coordinates (name, x, y, z) in a right-handed frame, which decides the sense of the azimuth. `station` names the

@@ -114,7 +114,7 @@ def read_points(path: str | Path, *, refuses_contradictions: bool = True) -> Poi
         header = _header_columns(sheet.rows) or _headerless_columns(sheet)
         if header is not None:
             return _PointRowReader(sheet, *header).points(refuses_contradictions=refuses_contradictions)
-    raise RecordError(f"is not a list of coordinates, {EXPECTED_POINT_LIST_TEXT}", file=path)
+    raise RecordError(f"the file is not a list of coordinates, {EXPECTED_POINT_LIST_TEXT}", file=path)
 
 
 def is_point_list(file_beginning: str) -> bool:
@@ -194,7 +194,7 @@ class _PointRowReader:
                 notes.append(f"{what} in {self.sheet.file.name}; the first coordinates are used")
                 ignored.append((before, values))
         if not places:
-            raise RecordError("contains no points", file=self.sheet.file)
+            raise RecordError("the file contains no points", file=self.sheet.file)
         table = np.array(numbers).reshape(len(places), -1)
         scale, decisions = self._unit_factors(table)
         numbers_by_column = dict(zip(self.numbers, (table * scale).T, strict=True))
@@ -288,7 +288,7 @@ def read_coordinates(path: Path, *, allows_fixed: bool = False, requires_sigmas:
     epoch = _coordinates_from_gama(path) if is_xml else _coordinates_from_list(path, requires_sigmas=requires_sigmas)
     if len(set(epoch.names)) < len(epoch.names):
         twice = next(name for name in epoch.names if epoch.names.count(name) > 1)
-        raise RecordError(f"contains the point '{safe_excerpt(twice)}' twice", file=path)
+        raise RecordError(f"the file contains the point '{safe_excerpt(twice)}' twice", file=path)
     if not epoch.has_covariance:
         return epoch
     if not allows_fixed:
@@ -301,7 +301,7 @@ def read_coordinates(path: Path, *, allows_fixed: bool = False, requires_sigmas:
         what = f"{safe_excerpt(epoch.names[position[0]])}.{epoch.axes[position[1]]}"
         raise RecordError(f"the variance of {what} is 0; leave out coordinates that are held fixed", file=path)
     if np.linalg.eigvalsh(epoch.covariance / np.outer(sigma, sigma))[0] < MIN_EIGENVALUE_PER_ROW * len(sigma):
-        raise RecordError("contains a covariance matrix that is not positive definite; correct it", file=path)
+        raise RecordError("the file contains a covariance matrix that is not positive definite; correct it", file=path)
     return epoch if folder == path else replace(epoch, title=folder.name)
 
 
@@ -309,11 +309,13 @@ def _coordinates_from_gama(path: Path) -> EpochCoordinates:
     """Adjusted points in an XML result of gama-local, with the covariance matrix from its upper band [mm^2]."""
     elements = {node.tag: node for node in parse_xml(path).descendants("adjusted", "cov-mat", "description")}
     if not {"adjusted", "cov-mat"} <= elements.keys():
-        raise RecordError("contains no <adjusted> points with their <cov-mat>", file=path)
+        raise RecordError("the file contains no <adjusted> points with their <cov-mat>", file=path)
     entries = [{cell.tag.lower(): cell for cell in point} for point in elements["adjusted"]]
     axis_sets = {"".join(axis for axis in AXIS_NAMES if axis in row) for row in entries}
     if len(axis_sets) != 1 or not (axes := axis_sets.pop()):
-        raise RecordError("contains points with different axes (xy, xyz); give points with the same axes", file=path)
+        raise RecordError(
+            "the file contains points with different axes (xy, xyz); give points with the same axes", file=path
+        )
     points = np.zeros((len(entries), 3))
     points[:, [AXIS_NAMES.index(axis) for axis in axes]] = [
         [_parse_number(row[axis]) for axis in axes] for row in entries
@@ -325,7 +327,7 @@ def _coordinates_from_gama(path: Path) -> EpochCoordinates:
         elements["cov-mat"], size, width, [_parse_number(c) for c in elements["cov-mat"] if c.tag == "flt"]
     )
     if size < (n_used := len(entries) * len(axes)):
-        raise RecordError(f"contains a <cov-mat> that is smaller than its {n_used} coordinates", file=path)
+        raise RecordError(f"the file contains a <cov-mat> that is smaller than its {n_used} coordinates", file=path)
     matrix = np.zeros((int(size), int(size)))
     matrix[row, column] = matrix[column, row] = values
     title = elements["description"].text if "description" in elements else ""

@@ -40,24 +40,24 @@ def read_covariance_matrix(path: Path, coordinate_names: Sequence[str]) -> Float
     index_by_name = {name: i for i, name in enumerate(names)}
     missing = next((name for name in coordinate_names if name not in index_by_name), None)
     if missing is not None:
-        raise RecordError(f"lacks the coordinate {safe_excerpt(missing)}", file=path)
+        raise RecordError(f"the file lacks the coordinate {safe_excerpt(missing)}", file=path)
     require_small_joint_covariance(len(names), path)
     matrix = np.zeros((len(names), len(names)))
     for i, (name, row) in enumerate(zip_longest(names, rows)):
         if name is None or row is None or unescape_cell_text(row[1][0]) != name:
             raise RecordError(
-                "has other rows than columns, or another order; give a row per coordinate, in the order of the header",
+                "the file has other rows than columns, or another order; give one row per coordinate, in column order",
                 file=path,
             )
         line, fields = row
         if len(fields) != 1 + len(names):
-            raise RecordError("has rows whose length differs from the header", file=path)
+            raise RecordError("the file has rows whose length differs from the header", file=path)
         matrix[i] = _parse_numbers(fields[1:], SourceLocation(path, line))
     variance = np.abs(np.diag(matrix))
     if max(np.abs(row - column).max() for row, column in zip(matrix, matrix.T, strict=True)) > (
         MAX_COVARIANCE_ASYMMETRY * float(variance.max())
     ):
-        raise RecordError("is not symmetric", file=path)
+        raise RecordError("the covariance matrix is not symmetric", file=path)
     indices = [index_by_name[name] for name in coordinate_names]
     if indices != list(range(len(names))):
         matrix = matrix[np.ix_(indices, indices)]
@@ -68,7 +68,7 @@ def _numbered_csv_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
     """Line number and fields of each row, without blank lines and comments; raises RecordError."""
     text = with_unix_line_ends(read_text(path))
     if text.count("\n") > MAX_TEXT_LINES:
-        raise RecordError(f"has more than {MAX_TEXT_LINES} lines, the limit for reading", file=path)
+        raise RecordError(f"the file has more than {MAX_TEXT_LINES} lines, the limit for reading", file=path)
     separator = ""
     for number, line in enumerate(io.StringIO(text), 1):
         if not line.strip() or line.lstrip().startswith("#"):

@@ -176,7 +176,7 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
     format : str, optional
         Name of the format; by default recognised by the content, then by the suffix of the file name.
     hints : Hints, optional
-        Answers to what the file leaves open, such as units or names.
+        Hints on what the file does not determine, such as units or names.
 
     Raises
     ------
@@ -230,19 +230,19 @@ def recognise_format(path: Path) -> FileFormat:
         advice = f"a recording; give {inside[0].parent}"
         if len(inside) > 1:
             advice = f"{len(inside)} recordings; give one of them, such as {inside[0].parent}"
-        raise RecordError(f"is not a recording, but contains {advice}", file=path)
+        raise RecordError(f"the folder is not a recording, but contains {advice}", file=path)
     beginning = ""
     if not path.is_dir():
         beginning = with_unix_line_ends(read_file_beginning(path, MAX_FORMAT_RECOGNITION_BYTES))
     unread_format = next((f for f in UNSUPPORTED_FORMATS if f.pattern.match(beginning)), None)
     if unread_format is not None:
         raise RecordError(
-            f"is {unread_format.name}, which ltsim does not read; {unread_format.export_advice}", file=path
+            f"the file is {unread_format.name}, which ltsim does not read; {unread_format.export_advice}", file=path
         )
     fitting_formats = [f for f in FORMATS if f.recognises(path, beginning)]
     if not fitting_formats:
         formats = "; ".join(f"{f.name} ({f.description})" for f in FORMATS)
-        raise RecordError(f"is in none of the formats that ltsim reads: {formats}", file=path)
+        raise RecordError(f"the file is in none of the formats that ltsim reads: {formats}", file=path)
     return next(
         (f for f in fitting_formats if f.has_signature or path.suffix.lower() in f.suffixes), fitting_formats[0]
     )

@@ -48,9 +48,9 @@ def read_bytes(path: Path, max_bytes: int = MAX_FILE_BYTES) -> bytes:
         raise RecordError("the path is a folder, expected a file", file=path) from None
     except (OSError, ValueError) as problem:
         reason = getattr(problem, "strerror", None) or "not a usable path"
-        raise RecordError(f"cannot be read ({reason})", file=path) from None
+        raise RecordError(f"the file cannot be read ({reason})", file=path) from None
     if len(content) > max_bytes:
-        raise RecordError(f"is larger than {max_bytes // BYTES_PER_MIB} MiB, the limit for reading", file=path)
+        raise RecordError(f"the file is larger than {max_bytes // BYTES_PER_MIB} MiB, the limit for reading", file=path)
     if not content or content.isspace():
         raise RecordError("is empty", file=path)
     return content
@@ -79,7 +79,7 @@ def read_file_beginning(path: Path, n_bytes: int) -> str:
             return decode_file_beginning(stream.read(n_bytes))
     except (OSError, ValueError) as problem:
         reason = getattr(problem, "strerror", None) or "not a usable path"
-        raise RecordError(f"cannot be read ({reason})", file=path) from None
+        raise RecordError(f"the file cannot be read ({reason})", file=path) from None
 
 
 def read_text(path: Path, *, replaces_undecodable: bool = False, max_bytes: int = MAX_FILE_BYTES) -> str:
@@ -93,14 +93,16 @@ def read_text(path: Path, *, replaces_undecodable: bool = False, max_bytes: int 
     elif b"\x00" in content[1:2] and replaces_undecodable:
         content = content.decode("utf-16-le", errors="replace").encode()
     if b"\x00" in content:
-        raise RecordError("contains binary data, or UTF-16 without a byte-order mark; expected UTF-8 text", file=path)
+        raise RecordError(
+            "the file contains binary data, or UTF-16 without a byte-order mark; expected UTF-8 text", file=path
+        )
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as problem:
         if replaces_undecodable:
             return content.decode("latin-1" if _UNDEFINED_WINDOWS_1252_BYTES & {*content} else "cp1252")
         line = content[: problem.start].count(b"\n") + 1
-        raise RecordError(f"is not UTF-8 text (first in line {line}); save it as UTF-8", file=path) from None
+        raise RecordError(f"the file is not UTF-8 text (first in line {line}); save it as UTF-8", file=path) from None
 
 
 def read_lines(path: Path, *, replaces_undecodable: bool = False, max_lines: int = MAX_TEXT_LINES) -> list[str]:
@@ -111,7 +113,7 @@ def read_lines(path: Path, *, replaces_undecodable: bool = False, max_lines: int
     """
     text = with_unix_line_ends(read_text(path, replaces_undecodable=replaces_undecodable))
     if text.count("\n") > max_lines:
-        raise RecordError(f"has more than {max_lines} lines, the limit for reading", file=path)
+        raise RecordError(f"the file has more than {max_lines} lines, the limit for reading", file=path)
     lines = text.split("\n")
     for i, line in enumerate(lines):
         if len(line) > MAX_LINE_CHARACTERS:
@@ -252,4 +254,4 @@ def _raise_writing_errors_as_record_errors(path: Path) -> Iterator[None]:
         yield
     except (OSError, UnicodeEncodeError) as problem:
         reason = getattr(problem, "strerror", None) or "text that UTF-8 cannot represent"
-        raise RecordError(f"cannot be written ({reason})", file=path) from None
+        raise RecordError(f"the file cannot be written ({reason})", file=path) from None

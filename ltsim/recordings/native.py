@@ -120,7 +120,7 @@ def _read_table(path: Path, *, is_growing: bool) -> TextTable:
     except csv.Error as problem:
         raise SourceLocation(path, len(rows)).error(f"is not CSV here ({problem})") from None
     if len(rows) < 2:
-        raise RecordError("contains only a header, expected one row per pointing", file=path)
+        raise RecordError("the file contains only a header, expected one row per pointing", file=path)
     return rows[0], list(zip(*rows[1:], strict=True))
 
 

@@ -113,7 +113,7 @@ def recording_from_pointings(
     `file`.
     """
     if not pointings:
-        raise RecordError("contains no pointings", file=file)
+        raise RecordError("the file contains no pointings", file=file)
     covariate_names = dict.fromkeys(name for p in pointings for name in p.covariates)
     label_names = dict.fromkeys(name for p in pointings for name in p.labels)
     columns = PointingColumns(

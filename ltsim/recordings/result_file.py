@@ -270,9 +270,13 @@ def _require_bounded_content(content: Mapping[str, Any], max_texts: int, file: P
             waiting += [(name, part) for name, part in parts if isinstance(part, str | list | dict)]
         n_texts += 1
         if n_texts + len(waiting) > max_texts:
-            raise RecordError(f"has more than {max_texts} texts, lists and objects, the limit for reading", file=file)
+            raise RecordError(
+                f"the file has more than {max_texts} texts, lists and objects, the limit for reading", file=file
+            )
     if n_characters > (most := max_texts * MAX_RESULT_MEAN_TEXT_CHARACTERS):
-        raise RecordError(f"has texts of {n_characters} characters, expected at most {most} together", file=file)
+        raise RecordError(
+            f"the file has texts of {n_characters} characters, expected at most {most} together", file=file
+        )
 
 
 def read_json(file: Path, kind: str, *, shares_equal_objects: bool = False) -> dict[str, Any]:
@@ -287,7 +291,7 @@ def read_json(file: Path, kind: str, *, shares_equal_objects: bool = False) -> d
         value = number_type(text) if len(text) <= 400 else math.inf
         if not abs(value) <= MAX_RESULT_MAGNITUDE:
             permitted = f"a finite number of at most {MAX_RESULT_MAGNITUDE:g} in magnitude"
-            raise RecordError(f"contains the number {safe_excerpt(text)}, expected {permitted}", file=file)
+            raise RecordError(f"the file contains the number {safe_excerpt(text)}, expected {permitted}", file=file)
         return value
 
     object_by_digest: dict[bytes, dict[str, Any]] = {}
@@ -299,7 +303,7 @@ def read_json(file: Path, kind: str, *, shares_equal_objects: bool = False) -> d
     parse_decimal, parse_integer = (partial(checked_number, number_type=number_type) for number_type in (float, int))
     text = read_text(file)
     if text.count(",") + text.count("[") + text.count("{") > MAX_JSON_VALUES:
-        raise RecordError(f"contains more than {MAX_JSON_VALUES} values, the limit for reading", file=file)
+        raise RecordError(f"the file contains more than {MAX_JSON_VALUES} values, the limit for reading", file=file)
     try:
         content = json.loads(
             text,
@@ -309,9 +313,9 @@ def read_json(file: Path, kind: str, *, shares_equal_objects: bool = False) -> d
             parse_int=parse_integer,
         )
     except (json.JSONDecodeError, RecursionError):
-        raise RecordError(f"is not JSON; expected a {kind}", file=file) from None
+        raise RecordError(f"the file is not JSON; expected a {kind}", file=file) from None
     if not isinstance(content, dict):
-        raise RecordError(f"contains no JSON object; expected a {kind}", file=file)
+        raise RecordError(f"the file contains no JSON object; expected a {kind}", file=file)
     return content
 
 
@@ -338,7 +342,7 @@ def companion_path(folder: Path, name: str, result: ResultFile) -> Path | None:
         return None
     if result.files and not result.is_unchanged_companion(folder, name):
         raise RecordError(
-            f"does not belong to {result.FILE} in the same folder, or was changed; run the command again",
+            f"the file does not belong to {result.FILE} in the same folder, or was changed; run the command again",
             file=file,
         )
     return file
@@ -354,7 +358,7 @@ def require_same_recording(result: ResultFile, recording: Recording | None, fold
         return
     title = f"'{safe_excerpt(source.title)}', " if source.title else ""
     raise RecordError(
-        f"is the result of another recording ({title}{source.pointings} pointings) than the given one "
+        f"the file is the result of another recording ({title}{source.pointings} pointings) than the given one "
         f"({len(recording)} pointings)",
         file=folder / result.FILE,
     )

@@ -56,7 +56,7 @@ def read_toml(path: Path, kind: str) -> dict[str, Any]:
     except (tomllib.TOMLDecodeError, ValueError) as problem:
         raise RecordError(f"is not TOML: {_message_without_line_breaks(problem)}", file=path) from None
     except RecursionError:
-        raise RecordError(f"is nested too deeply to be a {kind}", file=path) from None
+        raise RecordError(f"the file is nested too deeply to be a {kind}", file=path) from None
 
 
 def check_toml_limits(text: str, file: object) -> None:
@@ -97,7 +97,7 @@ def check_toml_limits(text: str, file: object) -> None:
             )
         if keys > MAX_TOML_KEYS or values > MAX_TOML_VALUES:
             what = f"{MAX_TOML_KEYS} keys and tables or {MAX_TOML_VALUES} values"
-            raise RecordError(f"holds more than {what}, the limit for reading", file=file)
+            raise RecordError(f"the file holds more than {what}, the limit for reading", file=file)
 
 
 def _line_number_of_token(token: re.Match[str]) -> int:
@@ -172,7 +172,7 @@ def validate_settings(tables: Mapping[str, Any], model: type[SettingsType], kind
         misspelt = [error for error in errors if error["type"] == "extra_forbidden"]
         raise RecordError(validation_sentence((misspelt or errors)[0], model), file=file) from None
     except (ValueError, RecursionError):
-        raise RecordError(f"contains a value that is not possible in a {kind}", file=file) from None
+        raise RecordError(f"the file contains a value that is not possible in a {kind}", file=file) from None
 
 
 def load_settings(path: Path, model: type[SettingsType], kind: str) -> SettingsType:

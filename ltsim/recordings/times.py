@@ -18,7 +18,7 @@ MIN_TARGET_CHANGES_FOR_TIME_CHECK = 8
 def time_text(recording: Recording, time: float) -> str:
     """Text of a `time` [s] since the start of a recording with a clock.
 
-    It is the date and time, or the time of day, if the set-up declares the start; otherwise the number of seconds.
+    The text is the date and time, or the time of day, if the set-up declares the start; otherwise a number of seconds.
     """
     started = recording.setup.started
     try:

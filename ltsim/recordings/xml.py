@@ -60,7 +60,9 @@ class _DepthCheck:
     def start(self, _tag: Any, _attributes: Any) -> None:
         self._depth += 1
         if self._depth > MAX_XML_DEPTH:
-            raise RecordError(f"nests elements deeper than {MAX_XML_DEPTH}, the limit for reading", file=self._file)
+            raise RecordError(
+                f"the file nests elements deeper than {MAX_XML_DEPTH}, the limit for reading", file=self._file
+            )
 
     def end(self, _tag: Any) -> None:
         self._depth -= 1
@@ -86,7 +88,9 @@ class _WorkbookCheck(_DepthCheck):
         self._n_cells = 0 if name == "row" else self._n_cells + (name == "c")
         if self.n_elements > MAX_WORKBOOK_ELEMENTS or self._n_cells > MAX_WORKBOOK_ROW_CELLS:
             most = f"{MAX_WORKBOOK_ELEMENTS} XML elements, or {MAX_WORKBOOK_ROW_CELLS} cells in a row"
-            raise RecordError(f"holds more than {most}, the limit for reading; save the table as CSV", file=self._file)
+            raise RecordError(
+                f"the file holds more than {most}, the limit for reading; save the table as CSV", file=self._file
+            )
 
 
 def check_tag_attributes(content: bytes, file: Path) -> None:
@@ -96,7 +100,7 @@ def check_tag_attributes(content: bytes, file: Path) -> None:
     """
     if any(match[0].count(b"=") > MAX_TAG_ATTRIBUTES for match in _LONG_TAG_PATTERN.finditer(content)):
         raise RecordError(
-            f"holds a tag with more than {MAX_TAG_ATTRIBUTES} attributes, the limit for reading", file=file
+            f"the file holds a tag with more than {MAX_TAG_ATTRIBUTES} attributes, the limit for reading", file=file
         )
 
 
@@ -106,7 +110,7 @@ def check_workbook_xml(content: bytes, file: Path) -> None:
     Raises RecordError, or ParseError if the text is not well formed.
     """
     if b"\x00" in content:
-        raise RecordError("contains a part that is not UTF-8", file=file)
+        raise RecordError("the file contains a part that is not UTF-8", file=file)
     check_tag_attributes(content, file)
     parser = DefusedXMLParser(target=_WorkbookCheck(file))
     parser.feed(content)
@@ -122,7 +126,7 @@ def parse_xml(path: Path) -> XmlNode:
     content = read_bytes(path)
     if content.count(b"<") > MAX_XML_TAGS or content.count(b"=") > MAX_XML_ATTRIBUTES:
         most = f"{MAX_XML_TAGS} tags or {MAX_XML_ATTRIBUTES} attributes"
-        raise RecordError(f"holds more than {most}, the limit for reading", file=path)
+        raise RecordError(f"the file holds more than {most}, the limit for reading", file=path)
     check_tag_attributes(content, path)
     try:
         builder = _LineNumberBuilder(path)
@@ -133,11 +137,13 @@ def parse_xml(path: Path) -> XmlNode:
         raise RecordError("declares entities, which are not read", file=path) from None
     except ParseError as problem:
         line = getattr(problem, "position", (0, 0))[0]
-        raise RecordError(f"is not well-formed XML ({safe_excerpt(str(problem), 80)})", file=path, row=line) from None
+        raise RecordError(
+            f"the file is not well-formed XML ({safe_excerpt(str(problem), 80)})", file=path, row=line
+        ) from None
     except (ValueError, LookupError, RecursionError):
-        raise RecordError("is not XML in a supported encoding", file=path) from None
+        raise RecordError("the file is not XML in a supported encoding", file=path) from None
     if not isinstance(root, Element):
-        raise RecordError("contains no XML element", file=path)
+        raise RecordError("the file contains no XML element", file=path)
     return XmlNode(root, path)
 
 

@@ -169,7 +169,7 @@ def _draw_sights(plotter: pv.Plotter, workshop: WorkshopScene) -> tuple[str, flo
         np.stack([sights.station_indices, sights.target_indices], axis=1), axis=0, return_inverse=True
     )
     value = np.full(len(pairs), -np.inf)
-    np.maximum.at(value, place.ravel(), sights.values)
+    np.maximum.at(value, place.ravel(), sights.colour_values)
     ends = np.stack([workshop.station_positions[pairs[:, 0]], workshop.target_points[pairs[:, 1]]], axis=1).reshape(
         -1, 3
     )
@@ -186,7 +186,7 @@ def _draw_sights(plotter: pv.Plotter, workshop: WorkshopScene) -> tuple[str, flo
         show_scalar_bar=False,
         name="sights",
     )
-    return sights.value_label, low, high
+    return sights.colour_label, low, high
 
 
 def _draw_shadow_cones(plotter: pv.Plotter, workshop: WorkshopScene, legend_lines: list[str]) -> None:

@@ -51,9 +51,9 @@ class DrawnSights:
     """Index (n,) of the station of each line of sight."""
     target_indices: Ints
     """Index (n,) of the target of each line of sight."""
-    values: Floats
+    colour_values: Floats
     """Value (n,) of each line of sight, which determines its colour."""
-    value_label: str
+    colour_label: str
     """Name of the values of the lines of sight, with their unit."""
 
 

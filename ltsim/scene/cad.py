@@ -90,10 +90,12 @@ def read_cad_file(path: Path, unit: str | None = None, vertical_axis: str | None
     try:
         status = path.stat()
         if status.st_size > MAX_CAD_BYTES:
-            raise InputError(f"{path}: is larger than {MAX_CAD_BYTES // BYTES_PER_MIB} MiB, the limit for reading")
+            raise InputError(
+                f"{path}: the file is larger than {MAX_CAD_BYTES // BYTES_PER_MIB} MiB, the limit for reading"
+            )
         triangles = _read_triangles(path, status.st_mtime_ns, SI_PER_UNIT[file_unit or "m"], file_axis)
     except OSError as problem:
-        raise InputError(f"{path}: cannot be read ({problem.strerror or 'not a usable file'})") from None
+        raise InputError(f"{path}: the file cannot be read ({problem.strerror or 'not a usable file'})") from None
     return CadFile(path, triangles, file_unit, file_axis, suffix in EXACT_SURFACE_SUFFIXES or unit is not None)
 
 
@@ -105,7 +107,7 @@ def _read_triangles(path: Path, _modification_time: int, metres_per_unit: float,
     """
     triangles = _triangles_in_file_units(path, metres_per_unit)
     if triangles.shape[1:] != (3, 3):
-        raise InputError(f"{path}: has points without three coordinates; export it again")
+        raise InputError(f"{path}: the file has points without three coordinates; export it again")
     batch_starts = range(0, len(triangles), TRIANGLES_PER_BATCH)
     corners = np.concatenate(
         [
@@ -116,7 +118,7 @@ def _read_triangles(path: Path, _modification_time: int, metres_per_unit: float,
     del triangles  # each array of a large file takes a tenth of the permitted memory
     if not len(corners):
         raise InputError(
-            f"{path}: has no triangle larger than {1e6 / GRID_POINTS_PER_METRE:g} um if its unit of length is "
+            f"{path}: the file has no triangle larger than {1e6 / GRID_POINTS_PER_METRE:g} um if its unit of length is "
             f"{metres_per_unit:g} m; set its unit, or export it again"
         )
     rounded_triangles: Floats = np.unique(corners, axis=0).reshape(-1, 3, 3) / GRID_POINTS_PER_METRE
@@ -147,12 +149,12 @@ def _triangles_in_file_units(path: Path, metres_per_unit: float) -> Floats:
     suffix = path.suffix.lower()
     if suffix in EXACT_SURFACE_SUFFIXES and not is_installed("cascadio"):
         raise InputError(
-            f'{path}: has exact surfaces, which need the library cascadio: pip install "ltsim[step]", or export it '
-            "from the CAD system as STL, OBJ or GLB"
+            f'{path}: the file has exact surfaces, which need the library cascadio: pip install "ltsim[step]", or '
+            "export it from the CAD system as STL, OBJ or GLB"
         )
     if suffix == ".gltf" and (others := re.findall(rb'"uri"\s*:\s*"(?!data:)([^"]*)"', read_whole_file(path))):
         raise InputError(
-            f"{path}: stores its surfaces in other files "
+            f"{path}: the file stores its surfaces in other files "
             f"({safe_excerpt(others[0].decode(errors='replace'))}); export it as "
             ".glb, or as .gltf with embedded data"
         )

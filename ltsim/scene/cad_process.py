@@ -60,7 +60,7 @@ def read_triangles(path: Path) -> Floats:
         triangles = _read_in_process(path, len(content))
     _require_few_triangles(path, len(triangles))
     if not len(triangles) or not np.all(np.isfinite(triangles)):
-        raise InputError(f"{path}: contains no surface of triangles with finite coordinates")
+        raise InputError(f"{path}: the file contains no surface of triangles with finite coordinates")
     return triangles
 
 
@@ -76,14 +76,16 @@ def _require_few_triangles(path: Path, n_triangles: int) -> None:
     """Check of the number of triangles against `MAX_OBSTACLE_TRIANGLES`; raises InputError."""
     if n_triangles > MAX_OBSTACLE_TRIANGLES:
         raise InputError(
-            f"{path}: has {n_triangles} triangles, but at most {MAX_OBSTACLE_TRIANGLES} are read; "
+            f"{path}: the file has {n_triangles} triangles, but at most {MAX_OBSTACLE_TRIANGLES} are read; "
             "export it with a coarser mesh"
         )
 
 
 def _incomplete_file_error(path: Path, reason: str) -> InputError:
     """InputError for an incomplete file."""
-    return InputError(f"{path}: is not a complete {path.suffix[1:]} file ({safe_excerpt(reason)}); export it again")
+    return InputError(
+        f"{path}: the file is not a complete {path.suffix[1:]} file ({safe_excerpt(reason)}); export it again"
+    )
 
 
 def _read_in_process(path: Path, file_size: int) -> Floats:

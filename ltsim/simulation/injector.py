@@ -1,7 +1,7 @@
 """Injection of an effect into an existing recording: the change that the effect predicts is added to the readings.
 
-Noise, outliers and instrument errors of the recording remain. The change is computed at the adjusted positions of
-stations and targets. A position error of 1 mm at a range of 10 m alters the change by 1e-4 of its size.
+Noise, outliers and instrument errors of the existing recording remain. The change is computed at the adjusted positions
+of stations and targets. A position error of 1 mm at a range of 10 m alters the change by 1e-4 of its size.
 """
 
 from collections.abc import Mapping
@@ -288,7 +288,7 @@ class Injector:
         lengths = self.reference_length_change(effect, parameter_values)
         if parameter_values.any() and not (np.nan_to_num(change).any() or lengths.any()):
             raise ModelError(
-                f"{effect_specification}: changes no reading; give measured stations or targets, and a time before the "
+                f"{effect_specification} changes no reading; give measured stations or targets, and a time before the "
                 "last of their readings"
             )
         if lengths.any():

@@ -69,7 +69,7 @@ def make_measurement_geometry(
     for s, name in enumerate(layout.station_names):
         if not table.is_visible[s].any():
             reason = table.reason_texts()[s][0]
-            raise InputError(f"stations.{name}: sees no reflector ({layout.target_names[0]} is {reason}); move {name}")
+            raise InputError(f"station {name} sees no reflector ({layout.target_names[0]} is {reason}); move {name}")
     sightings = _sightings_in_measurement_order(scenario, layout, table.is_visible, seed, *stream_key)
     sightings = replace(sightings, sight_vector_offsets=true_smr_offsets(scenario, sightings, seed, *stream_key))
     return MeasurementGeometry(

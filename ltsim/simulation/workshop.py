@@ -83,7 +83,7 @@ def _declared_lengths(gauge: ScenarioGauge, target_pairs: list[tuple[int, int]])
     if not gauge.distance:
         if len(names) != 4:
             message = "the built-in gauge has four; give the lengths of another gauge as [[gauge.distance]]"
-            raise InputError(f"gauge.targets: has {len(names)} reflectors, but {message}")
+            raise InputError(f"gauge.targets has {len(names)} reflectors, but {message}")
         return list(PAPER_GAUGE_LENGTHS_MM[gauge.table_reading_order])
     certificates: dict[frozenset[str], float] = {}
     for i, line in enumerate(gauge.distance):

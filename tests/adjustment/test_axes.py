@@ -148,7 +148,7 @@ def test_a_file_of_axes(tmp_path: Path) -> None:
         assert list(coordinates) == ["A"]
         np.testing.assert_allclose(coordinates["A"][:2], [0.001, 0.002])
     (tmp_path / "d.csv").write_text("what;when\nA;1\n")
-    with pytest.raises(RecordError, match=r"d.csv: is not a list of coordinates, expected a header"):
+    with pytest.raises(RecordError, match=r"d.csv: the file is not a list of coordinates, expected a header"):
         read_points(tmp_path / "d.csv", refuses_contradictions=False)
 
 

@@ -19,6 +19,7 @@ from ltsim.core.units import MICRORADIAN
 from ltsim.geometry.polar import from_polar
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.setup import Instrument, Setup, Station
+from ltsim.reports.sections import result_section
 
 
 @pytest.fixture(scope="module")
@@ -272,3 +273,14 @@ def test_points_do_not_move_by_correction(calibration, make, drawn) -> None:
     assert np.allclose(
         from_polar(corrected.readings), misalignment_construction().points_from_readings(recording.readings, values)
     )
+
+
+def test_calibration_without_fit_statistics_has_no_convergence_warning(tmp_path: Path) -> None:
+    content = {
+        "format": "ltsim-calibration/1",
+        "construction": "misalignment",
+        "parameters": [{"name": "beam-tilt", "value": 5.0, "unit": "urad", "sigma": 1.0, "prior_sigma": 10.0}],
+    }
+    (tmp_path / "calibration.json").write_text(json.dumps(content))
+    blocks = result_section(read_calibration(tmp_path / "calibration.json")).blocks
+    assert not [block.title for block in blocks if "converge" in block.title]

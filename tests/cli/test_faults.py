@@ -177,7 +177,7 @@ def test_a_report_goes_on_past_a_folder_that_cannot_be_read(capsys: pytest.Captu
     (tmp_path / "bad" / "calibration.json").write_text("{")
     assert run(["report", str(tmp_path)]) == 0
     captured = capsys.readouterr()
-    assert captured.err.startswith(f"{tmp_path / 'bad' / 'calibration.json'}: is not JSON")
+    assert captured.err.startswith(f"{tmp_path / 'bad' / 'calibration.json'}: the file is not JSON")
     page = (tmp_path / "report.html").read_text()
     assert "is not JSON" in page and "140 pointings" in page
 

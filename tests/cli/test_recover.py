@@ -60,7 +60,7 @@ def test_junit_names_every_check_and_what_failed(capsys, tmp_path: Path) -> None
 def test_a_junit_file_that_cannot_be_written_is_reported_before_any_trial(capsys, monkeypatch) -> None:
     monkeypatch.setattr("ltsim.recover", lambda *_, **__: pytest.fail("trials were run"))
     assert run(["recover", "paper-workshop-re-aimed", "-n", "2", "--junit", "/proc/nowhere.xml"]) == 2
-    assert "nowhere.xml: cannot be written" in capsys.readouterr().err
+    assert "nowhere.xml: the path cannot be written" in capsys.readouterr().err
 
 
 def test_a_construction_that_does_not_fit_the_scenario(capsys, tmp_path: Path) -> None:

@@ -94,7 +94,7 @@ def test_a_link_inside_the_folder_stays_and_a_link_out_of_it_is_refused(tmp_path
     (folder / "sub").symlink_to("../elsewhere")
     (folder / "away").symlink_to("../mine")
     for name in ("sub/x", "away"):
-        with pytest.raises(RecordError, match="leads out of the folder"):
+        with pytest.raises(RecordError, match="is a link out of the folder"):
             write_texts(folder, {"real.txt": "newer", name: "x"})
     assert (folder / "real.txt").read_text() == "new"
     assert sorted(p.name for p in tmp_path.rglob("*")) == ["away", "elsewhere", "link.txt", "out", "real.txt", "sub"]
@@ -137,9 +137,9 @@ def test_nothing_behind_a_link_is_removed_or_written(tmp_path: Path) -> None:
     (folder / "pipe").symlink_to(elsewhere / "pipe")
     reader = os.open(elsewhere / "pipe", os.O_RDONLY | os.O_NONBLOCK)
     write_files(folder, {"mine": b"whole"})
-    with pytest.raises(RecordError, match="leads out of the folder"):
+    with pytest.raises(RecordError, match="is a link out of the folder"):
         write_files(folder, {"pipe": b"through"})
-    with pytest.raises(RecordError, match="leads out of the folder"):
+    with pytest.raises(RecordError, match="is a link out of the folder"):
         check_writable(folder / "pipe", is_folder=False)
     assert os.read(reader, 100) == b""
     os.close(reader)

@@ -314,7 +314,7 @@ def test_common_axes_of_two_lists_are_compared(tmp_path: Path) -> None:
     assert comparison.moved_points == ("D",)
     assert "the first list has the axes xyz, the second xy: only xy are compared" in comparison.notes
     height = point_list(tmp_path / "c.csv", NAMES, moved[:, 2:], "target,z_mm,sigma_mm")
-    with pytest.raises(ModelError, match="none is in both"):
+    with pytest.raises(ModelError, match="no axis is in both"):
         lt.compare(plan, height)
 
 

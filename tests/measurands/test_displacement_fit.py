@@ -28,10 +28,11 @@ def differences(
 
 def fitted(data: WhitenedDifferences, points: Sequence[int]) -> tuple[Floats, Floats, float]:
     """Estimates of smallest norm in units of their standard deviations, covariance, and sum of squares."""
-    design = data.root @ np.hstack([data.free_motions, np.eye(len(data.differences))[:, data.rows(points)]])
+    displacement_columns = np.eye(len(data.differences))[:, data.point_coordinate_indices(points)]
+    design = data.whitening_root @ np.hstack([data.free_motions, displacement_columns])
     norms = np.linalg.norm(design, axis=0)
     inverse = np.linalg.pinv(design / norms) / norms[:, None]
-    observed = data.root @ data.differences
+    observed = data.whitening_root @ data.differences
     basis = scipy.linalg.orth(design / norms)
     return inverse @ observed, inverse @ inverse.T, float(observed @ observed - np.sum((basis.T @ observed) ** 2))
 

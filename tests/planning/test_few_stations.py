@@ -24,5 +24,5 @@ def test_a_survey_without_a_station_or_a_target_is_no_network() -> None:
     assert "not visible from any station" in lost.violations_clause
     assert not check_tolerances(alone.without_station(0), demands, misalignment_construction()).meets_all_tolerances
     for nothing in (alone.without_station(0), alone.with_targets_only(np.zeros(len(alone.target_points), dtype=bool))):
-        with pytest.raises(NetworkError, match="no station sees a target"):
+        with pytest.raises(NetworkError, match="no station sees any target"):
             ExpectedPrecision.from_survey(nothing)

@@ -83,7 +83,7 @@ def test_unknown_things(tmp_path: Path) -> None:
     with pytest.raises(RecordError, match="there is no format called 'gsi'"):
         write(workshop(), tmp_path / "out", "gsi")
     write(workshop(), tmp_path / "trial" / "recording")
-    with pytest.raises(RecordError, match="trial: is not a recording, but contains a recording; give "):
+    with pytest.raises(RecordError, match="trial: the folder is not a recording, but contains a recording; give "):
         read(tmp_path / "trial")
 
 

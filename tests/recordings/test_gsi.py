@@ -150,5 +150,5 @@ def test_a_circle_that_was_set_anew_is_another_orientation(tmp_path: Path) -> No
 
 def test_the_file_of_a_level_is_named(tmp_path: Path) -> None:
     text = "410001+?......1\n110002+000000A1 32...8+00012345 331.08+00123456\n"
-    with pytest.raises(RecordError, match="the file of a level"):
+    with pytest.raises(RecordError, match="the file comes from a level"):
         read(gsi(tmp_path / "n.gsi", text))

@@ -357,7 +357,7 @@ def test_headers_of_a_table_are_bounded(tmp_path: Path) -> None:
         for i in range(10_001)
     ]
     (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
-    with pytest.raises(RecordError, match="row 20001: holds more than 10000 headers"):
+    with pytest.raises(RecordError, match="row 20001: the file holds more than 10000 headers"):
         read(tmp_path / "a.csv")
 
 

@@ -427,10 +427,10 @@ def test_a_bad_cell_of_the_only_row_is_named(text: str, column: str, tmp_path: P
 @pytest.mark.parametrize("text", [text for text in SINGLE_ROWS if "," in text or ";" in text or "\t" in text])
 def test_a_table_without_readings_says_so(text: str, tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(text.split("\n")[0] + "\n")
-    with pytest.raises(RecordError, match=r"a\.csv: contains no pointings below its header"):
+    with pytest.raises(RecordError, match=r"a\.csv: the file contains no pointings below its header"):
         read(tmp_path / "a.csv")
     (tmp_path / "b.csv").write_text("station,target,Hz[deg],zenith[deg],distance[mm]\nS1,T1,a,b,c\n")
-    with pytest.raises(RecordError, match=r"b\.csv: contains no pointings: line 2 of b\.csv \('S1 T1 a b c'\) has no"):
+    with pytest.raises(RecordError, match=r"b\.csv: .* no pointings: line 2 of b\.csv \('S1 T1 a b c'\) has no"):
         read(tmp_path / "b.csv")
 
 

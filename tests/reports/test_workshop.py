@@ -54,8 +54,8 @@ def test_incidence_is_measured_on_the_walls(scene: workshop_scene.WorkshopScene)
     first = (sights.station_indices == 0) & (sights.target_indices == 0)
     beam = STATIONS[0] - mesh()[0]
     expected = np.degrees(np.arccos(beam[0] / np.linalg.norm(beam)))
-    assert sights.values[first] == pytest.approx(expected, abs=0.1)
-    assert sights.values.max() < 90.0
+    assert sights.colour_values[first] == pytest.approx(expected, abs=0.1)
+    assert sights.colour_values.max() < 90.0
 
 
 def test_reflectors_that_are_re_aimed_have_no_incidence(scene: workshop_scene.WorkshopScene) -> None:

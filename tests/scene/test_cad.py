@@ -86,7 +86,7 @@ def test_a_damaged_file_is_refused_in_a_sentence_without_further_output(suffix: 
     pytest.importorskip("cascadio", reason="the extra step is not installed")
     file = tmp_path / f"bad{suffix}"
     file.write_text(HEADER + "#1=NONSENSE(;\n")
-    with pytest.raises(InputError, match=rf"bad\{suffix}: is not a complete"):
+    with pytest.raises(InputError, match=rf"bad\{suffix}: the file is not a complete"):
         read_cad_file(file)
     assert capfd.readouterr() == ("", "")
 
@@ -94,7 +94,7 @@ def test_a_damaged_file_is_refused_in_a_sentence_without_further_output(suffix: 
 def test_a_gltf_in_several_files_is_refused_in_a_sentence(tmp_path: Path) -> None:
     for name, content in trimesh.creation.box().export(file_type="gltf").items():
         (tmp_path / name).write_bytes(content)
-    with pytest.raises(InputError, match=r"gltf: stores its surfaces in other files \(.*bin\); export it as .glb"):
+    with pytest.raises(InputError, match=r"gltf: the file stores .* in other files \(.*bin\); export it as .glb"):
         read_cad_file(tmp_path / "model.gltf")
 
 
@@ -249,7 +249,7 @@ def test_single_precision_at_grid_coordinates_is_refused_where_it_is_lost(suffix
 def test_a_body_that_vanishes_on_the_grid_is_refused_in_a_sentence(suffix: str, tmp_path: Path) -> None:
     file = tmp_path / f"body{suffix}"
     trimesh.creation.box(extents=(1e-9, 1e-9, 1e-9)).export(file)
-    with pytest.raises(InputError, match=r"body\.\w+: has no triangle larger than 10 um"):
+    with pytest.raises(InputError, match=r"body\.\w+: the file has no triangle larger than 10 um"):
         read_cad_file(file)
 
 

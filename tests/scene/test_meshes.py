@@ -148,5 +148,5 @@ def test_damaged_files_are_refused_in_a_sentence(name: str, content: bytes, mess
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"gone\.stl: cannot be read"):
+    with pytest.raises(InputError, match=r"gone\.stl: the file cannot be read"):
         read_cad_file(tmp_path / "gone.stl", "mm")

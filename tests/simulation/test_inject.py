@@ -140,7 +140,7 @@ def test_impossible_causes_are_refused(recording: Recording, cause: str, message
 
 
 def test_what_happens_after_the_last_pointing_changes_nothing_and_is_refused(recording: Recording) -> None:
-    with pytest.raises(ModelError, match="target-moved:T05,time=1e6: changes no reading; give measured"):
+    with pytest.raises(ModelError, match="target-moved:T05,time=1e6 changes no reading; give measured"):
         lt.inject(recording, "target-moved:T05,time=1e6")
 
 

@@ -144,7 +144,7 @@ def test_unknown_names_are_refused_with_the_closest() -> None:
 
 def test_a_station_that_sees_nothing_is_refused(write: Write) -> None:
     text = MINIMAL + "[[workshop.obstacles]]\nbox_mm = [1000, 1000, 3000]\nposition_mm = [3000, 3000, 0]\n"
-    with pytest.raises(InputError, match=r"stations\.S1: sees no reflector \(A is station inside an obstacle\)"):
+    with pytest.raises(InputError, match=r"station S1 sees no reflector \(A is station inside an obstacle\)"):
         make_measurement_geometry(load_scenario(write(text)), 1)
 
 
@@ -153,7 +153,7 @@ def test_cad_files_are_read_from_the_folder_of_the_scenario(write: Write, tmp_pa
     path = write(text)
     scenario = load_scenario(path)
     assert scenario.workshop.obstacles[0].file == str(tmp_path / "press.stl")
-    with pytest.raises(InputError, match=r"press\.stl: cannot be read"):
+    with pytest.raises(InputError, match=r"press\.stl: the file cannot be read"):
         make_measurement_geometry(scenario, 1)
 
 

@@ -206,7 +206,7 @@ def read_reflector_bench(path: Path, *, probe_direction: float, length_sigma: fl
     """
     text = read_text(path)
     if text.count("\n") > MAX_RESULT_LIST_ENTRIES:  # the result has an entry for each row
-        message = f"has more rows than the limit of {MAX_RESULT_LIST_ENTRIES}; average or remove rows"
+        message = f"the file has more rows than the limit of {MAX_RESULT_LIST_ENTRIES}; average or remove rows"
         raise RecordError(message, file=path)
     angle, length, probe = BENCH_TABLE.parse_csv(text, path).float_array(*BENCH_TABLE.header).T
     lost = np.flatnonzero(~np.isfinite(angle))
@@ -215,7 +215,7 @@ def read_reflector_bench(path: Path, *, probe_direction: float, length_sigma: fl
     for what, column, fewest in (("length_um", length, MIN_BENCH_LENGTHS), ("probe_um", probe, MIN_PROBE_READINGS)):
         different = len(np.unique(np.round(angle[np.isfinite(column)] % 360.0, 3)))
         if different < fewest:
-            raise RecordError(f"has values of {what} at {different} angles, expected {fewest} or more", file=path)
+            raise RecordError(f"{what} has values at {different} angles, expected {fewest} or more", file=path)
     measured, probed = np.isfinite(length), np.isfinite(probe)
     return ReflectorBenchReadings(
         table_angles_of_lengths=angle[measured] * DEGREE,
@@ -276,9 +276,9 @@ def bench(source: str | Path, *, probe_direction: float = 90.0, length_sigma: fl
     source : str or Path
         CSV file with the columns ``angle_deg,length_um,probe_um``; a cell is empty if its value was not read.
     probe_direction : float, [deg]
-        Angle from the interferometer to the probe, counted against the rotation of the roundness table.
+        Angle [deg] from the interferometer to the probe, counted against the rotation of the table.
     length_sigma : float, [um]
-        Standard deviation of a length measured by the interferometer.
+        Standard deviation [um] of a length measured by the interferometer.
 
     Raises
     ------
@@ -304,7 +304,7 @@ def bench(source: str | Path, *, probe_direction: float = 90.0, length_sigma: fl
     )
     eccentricity_sigmas = np.sqrt(np.diag(result.eccentricity_covariance))
 
-    def entry(value: float, sigma: float) -> EstimateEntry:
+    def estimate_entry(value: float, sigma: float) -> EstimateEntry:
         return EstimateEntry(value_um=value / MICROMETRE, sigma_um=sigma / MICROMETRE)
 
     columns = zip(
@@ -314,14 +314,14 @@ def bench(source: str | Path, *, probe_direction: float = 90.0, length_sigma: fl
         strict=True,
     )
     return BenchFile(
-        eccentricity_forward=entry(result.eccentricity[0], eccentricity_sigmas[0]),
-        eccentricity_side=entry(result.eccentricity[1], eccentricity_sigmas[1]),
+        eccentricity_forward=estimate_entry(result.eccentricity[0], eccentricity_sigmas[0]),
+        eccentricity_side=estimate_entry(result.eccentricity[1], eccentricity_sigmas[1]),
         run_out_um=result.run_out / MICROMETRE,
         table=tuple(
             BenchRow(angle_deg=angle, uncorrected_length_um=read, error_um=error, sigma_um=sigma)
             for angle, (read, error, sigma) in zip(record.table_angles_of_lengths / DEGREE, columns, strict=True)
         ),
-        vertex_axial=entry(vertex.axial_offset, vertex.axial_sigma),
-        vertex_offset_lateral=entry(vertex.side_offset, vertex.side_sigma),
+        vertex_axial=estimate_entry(vertex.axial_offset, vertex.axial_sigma),
+        vertex_offset_lateral=estimate_entry(vertex.side_offset, vertex.side_sigma),
         unexplained_rms_um=vertex.unexplained_rms / MICROMETRE,
     )

@@ -329,20 +329,20 @@ def noise_hypotheses(fit: NetworkFit) -> Iterator[tuple[CauseHypothesis, Bools]]
     columns = {name: np.arange(3) == k for k, name in enumerate(OBSERVABLES)} | {"angles": np.arange(3) > 0}
     places = len(columns) + len(recording.targets) + is_multiple * len(recording.stations)
 
-    def noise(
+    def noise_hypothesis(
         acts_on: str, stations: tuple[str, ...], targets: tuple[str, ...], n_rivals: int, is_scaled: Bools
     ) -> CauseHypothesis:
         prior = log_prior_of_kind("noise-level", n_rivals)
         return CauseHypothesis("noise-level", acts_on, stations, targets, prior, NoiseFactorChange(is_scaled))
 
-    yield noise("noise", (), (), 1, full_mask), full_mask
+    yield noise_hypothesis("noise", (), (), 1, full_mask), full_mask
     for acts_on, is_column in columns.items():
         readings = full_mask & is_column
-        yield noise(acts_on, (), (), places, readings), readings
+        yield noise_hypothesis(acts_on, (), (), places, readings), readings
     for t, name in enumerate(recording.targets):
         rows = full_mask & (recording.target == t)[:, None]
         if rows[:, 0].sum() >= MIN_REPEATS_FOR_VARIANCE:
-            yield noise("noise", (), (name,), places, rows), rows
+            yield noise_hypothesis("noise", (), (name,), places, rows), rows
     for s, name in enumerate(recording.stations) if is_multiple else ():
         rows = full_mask & (recording.station == s)[:, None]
-        yield noise("noise", (name,), (), places, rows), rows
+        yield noise_hypothesis("noise", (name,), (), places, rows), rows

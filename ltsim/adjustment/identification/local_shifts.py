@@ -62,7 +62,7 @@ def fit_local_shifts(shifts: Sequence[LocalShiftProblem], outlier_cost: float) -
     influence.
     """
     fits: dict[int, tuple[float, Floats]] = {}
-    for batch in _batches(shifts):
+    for batch in _shift_batches(shifts):
         count, rank = len(shifts[batch[-1]].whitened_residuals), len(shifts[batch[0]].column_lengths)
         unit, residual = np.zeros((len(batch), count, rank)), np.zeros((len(batch), count))
         out, valid = np.zeros((2, len(batch), count), dtype=bool)
@@ -86,7 +86,7 @@ def fit_local_shifts(shifts: Sequence[LocalShiftProblem], outlier_cost: float) -
     return [fits[i] for i in range(len(shifts))]
 
 
-def _batches(shifts: Sequence[LocalShiftProblem]) -> Iterator[list[int]]:
+def _shift_batches(shifts: Sequence[LocalShiftProblem]) -> Iterator[list[int]]:
     """Indices of shifts that are fitted together, in groups with equal numbers of parameters.
 
     Within a group the shifts with fewer readings come first. The design matrices of a group together have at most

@@ -49,7 +49,7 @@ def candidate_station_change_times(sightings: Sightings, *, min_pointings: int) 
 def candidate_times_between_occupations(sightings: Sightings, target_index: int, *, max_n_times: int) -> list[float]:
     """Times [s] at which a diagnosis tries a sudden motion of a target, at most `max_n_times`.
 
-    They are midpoints between the pointings to the target from two successive stations, or, if only one station
+    The times are midpoints between the pointings to the target from two successive stations, or, if only one station
     measured the target, from this station. `target_index` is the index of the target.
     """
     target_rows = sightings.measurement_order[sightings.target[sightings.measurement_order] == target_index]

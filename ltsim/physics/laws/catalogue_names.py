@@ -30,10 +30,7 @@ the encoder. With fewer periods it is a graduation harmonic."""
 
 
 def equivalent_effect_name(law: EmpiricalLaw) -> str:
-    """Name of the catalogue effect that is equivalent to a law; `unknown` if there is none.
-
-    A law describes an error as a function of covariates such as time.
-    """
+    """Name of the catalogue effect that is equivalent to a law (function of covariates); `unknown` if there is none."""
     regressor, response_name = law.regressor, law.response.name
     if (
         regressor.kind == "wave"

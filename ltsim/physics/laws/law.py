@@ -332,8 +332,8 @@ class EmpiricalLaw(CandidateEffect):
     def equivalent_vertical_index_law(self, sightings: Sightings) -> EmpiricalLaw:
         """Law of the vertical index that is equivalent to this law of the elevation; if there is none, the law itself.
 
-        They are equivalent if the elevation error changes sign with the face, or, with readings in one face only, if
-        the law depends only on time or on additional columns of the recording.
+        Both laws are equivalent if the elevation error changes sign with the face, or, with readings in one face only,
+        if the law depends only on time or on additional columns of the recording.
         """
         if self.response.name != "elevation":
             return self

@@ -24,10 +24,7 @@ then counts as much as an angle of 60 deg between two nest normals."""
 
 @dataclass(frozen=True)
 class LawPlace:
-    """Place at which a law acts: set-ups, targets or instruments, with the pointings there.
-
-    A law describes an error as a function of covariates such as time.
-    """
+    """Place at which a law (function of covariates) acts: set-ups, targets or instruments, with the pointings there."""
 
     stations: tuple[str, ...]
     """Names of the set-ups at which the law (error as a function of covariates) acts; empty for all."""
@@ -56,7 +53,7 @@ def station_names_of_rows(sightings: Sightings, rows: Ints) -> tuple[str, ...]:
 def instrument_places(sightings: Sightings, names: Sequence[str]) -> tuple[LawPlace, ...]:
     """Places of laws, one per instrument in `names` with all its set-ups; empty if there is only one instrument.
 
-    A law describes an error as a function of covariates such as time.
+    A law is an error as a function of covariates.
     """
     places = tuple(
         LawPlace(station_names_of_rows(sightings, rows), (), rows, (name,))
@@ -69,8 +66,8 @@ def target_clusters(sightings: Sightings) -> set[tuple[int, ...]]:
     """Groups of related targets, for each of which a diagnosis tries a law, as tuples of sorted target indices.
 
     The groups are the branches of three trees of hierarchical clustering (average linkage): by position, by position
-    and surface, and by height and surface. Nests with similar normals count as mounted on the same surface. A law
-    describes an error as a function of covariates such as time.
+    and surface, and by height and surface. Nests with similar normals count as mounted on the same surface. A law is an
+    error as a function of covariates.
     """
     if len(sightings.target_points) < 2 * MIN_GROUP_TARGETS:
         return set()
@@ -121,7 +118,7 @@ def groups_connected_by_lengths(
 def group_places(sightings: Sightings, target_groups: set[tuple[int, ...]]) -> Iterator[LawPlace]:
     """Places of laws, one per group of targets (tuple of target indices), with the pointings to the group.
 
-    A law describes an error as a function of covariates such as time.
+    A law is an error as a function of covariates.
     """
     for members in sorted(target_groups):
         rows = np.flatnonzero(np.isin(sightings.target, members))

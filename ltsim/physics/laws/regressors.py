@@ -137,8 +137,8 @@ class Regressor:
 
         If the law moves targets (`acts_on_targets`), the columns are relative to the pointings at which the targets
         have their declared coordinates: those at the start of the measurement, or those at which the additional column
-        of the recording is zero. Without such pointings each column has zero mean. A law describes an error as a
-        function of covariates such as time.
+        of the recording is zero. Without such pointings each column has zero mean. A law is an error as a function of
+        covariates.
         """
         columns = self._unreduced_columns(sightings, acts_on_targets)
         if not acts_on_targets or self.kind in ("constant", "field", "amounts", "product"):
@@ -149,8 +149,7 @@ class Regressor:
     def _is_at_declared_coordinates(self, sightings: Sightings) -> Bools:
         """Mask (n,) of the pointings at which moving targets have their declared coordinates.
 
-        They are the pointings at the start of the measurement, or those at which the additional column of the recording
-        is zero.
+        The pointings are those at the start of the measurement, or those at which the additional column is zero.
         """
         full_mask = np.ones(len(sightings), dtype=bool)
         name = "".join(self.covariates)

@@ -39,7 +39,7 @@ PLAUSIBLE_MOTION = 30 * MICROMETRE
 class Response:
     """Response: quantity of the measurement, such as the vertical index, that an effect or law changes.
 
-    A law describes an error as a function of covariates such as time.
+    A law is an error as a function of covariates.
     """
 
     name: str
@@ -230,7 +230,7 @@ components of a response (changed quantity)."""
 def _response_registry() -> dict[str, tuple[Response, ResponseDesignFunction]]:
     """Responses by name, each with the function that returns the derivatives of the raw readings by the response.
 
-    A response is the quantity that a law changes. A law describes an error as a function of covariates such as time.
+    A response is the quantity that a law changes. A law is an error as a function of covariates.
     """
     derivatives: list[tuple[Response, ResponseDesignFunction]] = [
         *((response, partial(_observable_design, observable=response.name)) for response in _READING_RESPONSES),

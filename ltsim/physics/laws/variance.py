@@ -50,7 +50,7 @@ def noise_groups(sightings: Sightings, group_kind: str) -> tuple[tuple[str, ...]
 def noise_covariate(sightings: Sightings, covariate: str) -> Floats:
     """Values (n,) in n pointings of a covariate on which the noise depends.
 
-    They are absolute values if the covariate depends on earlier pointings.
+    The result is the absolute value of a covariate that depends on earlier pointings.
     """
     values: Floats = sightings.covariate_values[covariate]
     return np.abs(values) if covariate.startswith(MEMORY_COVARIATE_PREFIXES) else values
@@ -65,8 +65,7 @@ class VarianceFunction(CandidateNoiseEffect):
     separate v, and with `has_variance_per_observable` also each observable. For a `region` of the hall the pattern is
     the length of the line of sight in it, divided by the longest such length. With a `covariate_band` the pattern is 1
     if the first covariate is between the first and second limit, the third and fourth, and so on; otherwise it is 0.
-    With a region and a band the pattern is the product of both patterns. A noise hypothesis says that the noise of some
-    readings differs from the declared noise.
+    With a region and a band the pattern is the product of both patterns. A noise hypothesis is a changed noise.
     """
 
     observables: tuple[str, ...] = OBSERVABLES

@@ -58,9 +58,9 @@ class DeclaredPlan:
     def rotation_to_network(self, station_positions: Floats, station_rotations: Floats) -> Floats:
         """Rotation matrix (3, 3) from the frame of the floor plan to the network frame.
 
-        It follows from the approximate positions of three or more stations that are not collinear, otherwise from the
-        yaws. It is the identity for a set-up with control points, and for one without positions and yaws.
-        `station_positions` (S, 3) [m] and `station_rotations` (S, 3, 3) are the poses in the network frame.
+        The rotation follows from the approximate positions of three or more stations that are not collinear, otherwise
+        from the yaws. The result is the identity for a set-up with control points, and for one without positions and
+        yaws. `station_positions` (S, 3) [m] and `station_rotations` (S, 3, 3) are the poses in the network frame.
         """
         if self.has_control_points:
             return np.eye(3)

@@ -66,7 +66,7 @@ class IncidenceErrors(LinearEffect):
     def _range_error_design(self, sightings: Sightings) -> Floats:
         """Derivatives (n, p) of the range corrections of n pointings by the p parameters of `smr-incidence`.
 
-        They are zero for pointings to other reflectors.
+        The derivatives are zero for pointings to other reflectors.
         """
         return (
             SMR_INCIDENCE_EFFECT.range_correction_design(*SMR_INCIDENCE_EFFECT.incidence_angle_and_direction(sightings))

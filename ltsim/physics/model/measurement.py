@@ -345,9 +345,8 @@ class MeasurementModel:
 def reduce_to_horizontal(readings: Floats, derivatives: tuple[Floats, ...], is_horizontal_distance: Bools) -> None:
     """Reduction, in place, of slope distances and their derivatives to horizontal distances.
 
-    `is_horizontal_distance` (n,) flags those of n pointings that are reduced. `readings` (n, 3) and each
-    derivative (n, 3, k)
-    with respect to k unknowns are changed.
+    `is_horizontal_distance` (n,) flags those of n pointings that are reduced. `readings` (n, 3) and each derivative (n,
+    3, k) with respect to k unknowns are changed.
     """
     range_, level = readings[is_horizontal_distance, 0], readings[is_horizontal_distance, 2]
     cosine = np.cos(level)

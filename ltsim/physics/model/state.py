@@ -27,7 +27,7 @@ class NetworkState:
     instrument_parameters: Floats
     """The p parameters of the geometric error model for each of I instruments, (I, p) [SI]."""
     extra_parameters: Floats = field(default_factory=lambda: np.zeros(0))
-    """The q parameters of effects and nuisance errors, of effects and of nuisance errors, (q,) [SI]."""
+    """The q parameters of effects and of nuisance errors, (q,) [SI]."""
 
     def with_increments(
         self, pose_increments: Floats, point_increments: Floats, instrument_increments: Floats, extra_increments: Floats

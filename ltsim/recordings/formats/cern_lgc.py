@@ -281,7 +281,7 @@ def _make_recording(lgc: _LgcContent) -> Recording:
         pointings_from_observations(lgc.observations, lgc.path.name)
     )
     if not pointings:
-        raise RecordError("contains no polar observations", file=lgc.path)
+        raise RecordError("the file contains no polar observations", file=lgc.path)
     targets = dict.fromkeys(p.target for p in pointings)
     _add_observed_coordinates(lgc)
     occupied_marks = [s.point for s in lgc.setups.values() if lgc.points[s.point].known_axes or s.point in targets]

@@ -122,7 +122,7 @@ class FieldBook:
         Raises RecordError if there are no measurements.
         """
         if not self.pointings:
-            raise RecordError("contains no measurements", file=self.path)
+            raise RecordError("the file contains no measurements", file=self.path)
         orientation_notes = self._separate_orientations()
         pointings, _, heights = separate_constant_heights(self.pointings)
         names = dict.fromkeys(p.station for p in pointings)

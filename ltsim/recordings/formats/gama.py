@@ -307,7 +307,7 @@ def _parse_angle(child: XmlNode) -> tuple[float, float]:
 def _sigma_of_observation(child: XmlNode, network: GamaNetwork, distance: float = 0.0) -> float:
     """Standard deviation [mm, cc] of an observation, from its attribute or from the default of the file.
 
-    It is written as ``a``, or as ``a b c`` for a + b D^c with the distance D in km. `distance` is in m. Raises
+    The default is written as ``a``, or as ``a b c`` for a + b D^c with the distance D in km. `distance` is in m. Raises
     RecordError.
     """
     kind = STDEV_ATTRIBUTE_PREFIXES.get(child.tag, child.tag)
@@ -338,7 +338,7 @@ def _make_recording(network: GamaNetwork) -> Recording:
         message = "contains height differences or vectors without pointings, expected readings of instruments too"
         raise RecordError(f"{message}; gama-local adjusts such a network", file=network.file)
     if not pointings and skipped:
-        raise RecordError(f"contains no pointings, and {'; '.join(skipped)}", file=network.file)
+        raise RecordError(f"the file contains no pointings, and {'; '.join(skipped)}", file=network.file)
     network.notes += skipped
     stations = {
         name: Station(

@@ -34,7 +34,9 @@ def write(recording: Recording, path: Path) -> None:
         message = "the recording has SMRs of different radii, which gama-local does not support"
         raise RecordError(f"{message}; write the recording in the native format", file=path)
     if any(SHARED_ERROR_COLUMN_PATTERN.fullmatch(name) for name in recording.covariates):
-        raise RecordError("contains errors that readings share, which only the native format supports", file=path)
+        raise RecordError(
+            "the recording contains errors that readings share, which only the native format supports", file=path
+        )
     for name in recording.stations:
         if not recording.station_setup(name).levelled:
             message = f"station {name} is not levelled, and gama-local supports only levelled instruments"

@@ -62,7 +62,7 @@ class _GsiBlock:
         """True if the block has all words with the indices `keys`."""
         return all(key in self.words for key in keys)
 
-    def name(self, key: str) -> str:
+    def name_in_word(self, key: str) -> str:
         """Name in the word with index `key` (such as "11"), without leading zeros."""
         return self.words[key][1][1:].strip().lstrip("0") or "0"
 
@@ -174,9 +174,9 @@ class _GsiFileProperties:
         self.has_directions = self.has_directions or block.has_words("21")
         self.has_staff_readings = self.has_staff_readings or block.has_words("33")
         if block.has_words("41", "42"):
-            self.code_of_first_block_with_name = self.code_of_first_block_with_name or block.name("41")
+            self.code_of_first_block_with_name = self.code_of_first_block_with_name or block.name_in_word("41")
             if block.has_words("43"):
-                self.code_of_first_block_with_height = self.code_of_first_block_with_height or block.name("41")
+                self.code_of_first_block_with_height = self.code_of_first_block_with_height or block.name_in_word("41")
         self.word_indices_of_second_last_block = (
             frozenset() if self.last_block is None else frozenset(self.last_block.words)
         )
@@ -199,7 +199,9 @@ class _GsiFileProperties:
         ):
             raise self.last_block.location.error("the last line has no line break and is incomplete")
         if self.has_staff_readings and not self.has_directions:
-            raise RecordError("is the file of a level: it has staff readings (33) and no directions (21)", file=path)
+            raise RecordError(
+                "the file comes from a level: it has staff readings (33) and no directions (21)", file=path
+            )
         return None if self.has_stations else self.code_of_first_block_with_height or self.code_of_first_block_with_name
 
 
@@ -210,11 +212,11 @@ def _is_station_block(block: _GsiBlock) -> bool:
 
 def _process_block(block: _GsiBlock, field_book: FieldBook, setup_code: str | None) -> None:
     """Addition of a measurement block to the field book: a set-up, a pointing, or a skipped block."""
-    if block.has_words("41", "42") and block.name("41") == setup_code:
-        field_book.add_setup(block.name("42"), block.length("43"), None, block.location)
+    if block.has_words("41", "42") and block.name_in_word("41") == setup_code:
+        field_book.add_setup(block.name_in_word("42"), block.length("43"), None, block.location)
     elif _is_station_block(block):
         x, y, z = (block.length(key) / MILLIMETRE for key in ("84", "85", "86"))
-        field_book.add_setup(block.name("11"), block.length("88"), (x, y, z), block.location)
+        field_book.add_setup(block.name_in_word("11"), block.length("88"), (x, y, z), block.location)
     elif block.has_words("11") and any(block.has_words(key) for key in ("21", "22", "31", "32")):
         _add_pointing(block, field_book)
     else:
@@ -225,7 +227,7 @@ def _add_pointing(block: _GsiBlock, field_book: FieldBook) -> None:
     """Addition of the pointing in a measurement block to the field book."""
     is_horizontal_distance = not block.has_words("31")
     field_book.add_pointing(
-        block.name("11"),
+        block.name_in_word("11"),
         block.location,
         distance=block.length("32" if is_horizontal_distance else "31", NOT_MEASURED),
         horizontal=block.angle("21"),

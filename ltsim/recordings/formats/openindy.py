@@ -59,7 +59,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     readings = [_parse_pointing(node, stations, geometries, notes) for node in root.descendants("observation")]
     pointings = [p for p in readings if p is not None]
     if not pointings:
-        raise RecordError("contains no readings", file=path)
+        raise RecordError("the file contains no readings", file=path)
     first_time = np.min([p.time for p in pointings])
     pointings = [replace(p, time=p.time - first_time) for p in pointings]
     count_notes = [f"{count} {what}" for what, count in notes.items()]

@@ -71,7 +71,7 @@ class _Dialect:
             units[4] != "2",
         )
 
-    def fields(self, line: str, n_names: int, n_numbers: int) -> tuple[list[str], list[str]]:
+    def split_record(self, line: str, n_names: int, n_numbers: int) -> tuple[list[str], list[str]]:
         """Texts of the first `n_names` names in the record `line`, and of the `n_numbers` numbers after them."""
         start = 4
         widths = [self.name_width] * n_names + [self.number_width] * n_numbers
@@ -123,7 +123,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
 
 def _read_setup(line: str, dialect: _Dialect, field_book: FieldBook, location: SourceLocation) -> None:
     """Addition of the set-up in a station record (02) to the field book."""
-    (name,), (first, second, z_text, height) = dialect.fields(line, 1, 4)
+    (name,), (first, second, z_text, height) = dialect.split_record(line, 1, 4)
     plan_coordinates = [_parse_number(text, location) * dialect.length_factor / MILLIMETRE for text in (first, second)]
     y, x = plan_coordinates if dialect.is_north_first else plan_coordinates[::-1]
     z = _parse_number(z_text, location) * dialect.length_factor / MILLIMETRE
@@ -150,7 +150,7 @@ def _read_observation(
 
     `height` is the height of the target [m]; `is_from_horizon` is True if vertical angles are elevations.
     """
-    (station, target), cells = dialect.fields(line, 2, 3)
+    (station, target), cells = dialect.split_record(line, 2, 3)
     if field_book.station and station != field_book.setups[field_book.station][0]:
         raise location.error(
             f"the record names the station '{safe_excerpt(station)}', expected the station of the last record 02"

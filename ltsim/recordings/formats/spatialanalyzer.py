@@ -62,12 +62,12 @@ class _SetupSection:
     """Position (3,) [m] of the instrument."""
     rotation_angles: Floats | None = None
     """Rotation angles (3,) [rad] of the instrument about the fixed axes x, y, z."""
-    rows: list[SheetRow] = field(default_factory=list)
+    table_rows: list[SheetRow] = field(default_factory=list)
     """Heading row and data rows of the table of observations."""
 
-    def cell(self, row: SheetRow, title: str) -> str:
+    def cell_text(self, row: SheetRow, title: str) -> str:
         """Text of the cell of `row` in the column with this title; '' if the table has no such column."""
-        titles = self.rows[0].fields
+        titles = self.table_rows[0].fields
         return row.cell(titles.index(title)) if title in titles else ""
 
     @property
@@ -90,39 +90,44 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
 
     Raises RecordError for a malformed or truncated report, and if the data do not decide a convention.
     """
-    blocks = [block for block in _read_setup_sections(path) if block.rows]
-    if not blocks:
-        raise RecordError("contains no block of observations", file=path)
-    names = _station_names(blocks)
-    active_rows = [[row for row in b.rows[1:] if b.cell(row, "Active").lower() != "no"] for b in blocks]
+    sections = [section for section in _read_setup_sections(path) if section.table_rows]
+    if not sections:
+        raise RecordError("the file contains no section of observations", file=path)
+    names = _station_names(sections)
+    active_rows = [
+        [row for row in section.table_rows[1:] if section.cell_text(row, "Active").lower() != "no"]
+        for section in sections
+    ]
     report_notes, n_inactive = (
         [ASSUMED_TRACKER_NOISE_NOTE],
-        sum(len(b.rows) - 1 - len(rows) for b, rows in zip(blocks, active_rows, strict=True)),
+        sum(len(section.table_rows) - 1 - len(rows) for section, rows in zip(sections, active_rows, strict=True)),
     )
     if n_inactive:
         report_notes.append(f"{n_inactive} observations are not active in the report and are not used")
     hints = replace(hints, columns=SPATIALANALYZER_COLUMN_MAP, date=hints.date or "dmy")
     table = read_pointing_table(
         [
-            _table_sheet_of_section(*block_parts, path)
-            for block_parts in zip(blocks, names, active_rows, strict=True)
-            if block_parts[2]
+            _table_sheet_of_section(*section_parts, path)
+            for section_parts in zip(sections, names, active_rows, strict=True)
+            if section_parts[2]
         ],
         hints,
         path,
     )
     group_by_line = {
-        row.line: b.cell(row, "Group") for b, rows in zip(blocks, active_rows, strict=True) for row in rows
+        row.line: section.cell_text(row, "Group")
+        for section, rows in zip(sections, active_rows, strict=True)
+        for row in rows
     }
     group_names = [group_by_line[line] for line in table.pointings.line]
     for i, name in enumerate(group_names):
         table.pointings.source_location(i).checked_text(name, "Group")
-    poses = {name: block.pose for name, block in zip(names, blocks, strict=True)}
+    poses = {name: section.pose for name, section in zip(names, sections, strict=True)}
     ordered_names = dict.fromkeys(table.pointings.station)
     pose_by_index = {i: pose for i, name in enumerate(ordered_names) if (pose := poses[name]) is not None}
     meaning, readings = interpret_readings(table, pose_by_index, hints, path)
     table.notes += _prefix_ambiguous_points(table, group_names, readings, poses)
-    recording = assemble_recording(table, meaning, readings, _setup_from_poses(blocks, names, path), hints, path)
+    recording = assemble_recording(table, meaning, readings, _setup_from_poses(sections, names, path), hints, path)
     return recording.replace(
         labels={**recording.labels, "group": tuple(group_names)}, notes=(*recording.notes, *report_notes)
     )
@@ -151,56 +156,56 @@ def _read_setup_sections(path: Path) -> list[_SetupSection]:
 
     Raises RecordError.
     """
-    blocks: dict[tuple[str, str], _SetupSection] = {}
-    block_of_row: _SetupSection | None = None
-    section, n_observations = "", 0
+    sections: dict[tuple[str, str], _SetupSection] = {}
+    section_of_row: _SetupSection | None = None
+    part_title, n_observations = "", 0
     for row in _read_sheet_rows(path):
         where, first = SourceLocation(path, row.line), row.fields[0].split("\n")[0]
         if first in ("Transform", "Observations"):
-            section, heading = first, _parse_heading(row.fields[0], where)
-            block_of_row = blocks.setdefault(heading[:2], _SetupSection(*heading))
-        elif block_of_row is not None and section == "Transform":
-            _read_pose(block_of_row, row.fields, where)
-        elif block_of_row is not None and first == "Collection":
+            part_title, heading = first, _parse_heading(row.fields[0], where)
+            section_of_row = sections.setdefault(heading[:2], _SetupSection(*heading))
+        elif section_of_row is not None and part_title == "Transform":
+            _read_pose(section_of_row, row.fields, where)
+        elif section_of_row is not None and first == "Collection":
             _check_heading(row.fields, where)
-            block_of_row.rows = block_of_row.rows or [row]
-        elif block_of_row is not None and block_of_row.rows and len(row.fields) > 1:
-            row.check_width(len(block_of_row.rows[0].fields), path)
+            section_of_row.table_rows = section_of_row.table_rows or [row]
+        elif section_of_row is not None and section_of_row.table_rows and len(row.fields) > 1:
+            row.check_width(len(section_of_row.table_rows[0].fields), path)
             n_observations += 1
             if n_observations > MAX_REPORT_OBSERVATIONS:
                 expected = f"expected at most {MAX_REPORT_OBSERVATIONS}; export the instruments separately"
                 raise where.error(f"more observations than a report may hold, {expected}")
-            block_of_row.rows.append(row)
-    for block in blocks.values():
-        if block.rows and block.n_declared_observations not in (None, len(block.rows) - 1):
-            held = f"{block.n_declared_observations} observations, but contains {len(block.rows) - 1}"
-            message = f"set-up {safe_excerpt(block.number)} declares {held}: the report is incomplete or was edited"
+            section_of_row.table_rows.append(row)
+    for section in sections.values():
+        if section.table_rows and section.n_declared_observations not in (None, len(section.table_rows) - 1):
+            held = f"{section.n_declared_observations} observations, but contains {len(section.table_rows) - 1}"
+            message = f"set-up {safe_excerpt(section.number)} declares {held}: the report is incomplete or was edited"
             raise RecordError(message, file=path)
-    return list(blocks.values())
+    return list(sections.values())
 
 
 def _parse_heading(cell: str, location: SourceLocation) -> tuple[str, str, str]:
     """Collection, number and model of the instrument from a heading such as ``A::0 - Leica AT960``."""
     text = cell.partition("\n")[2].strip()
     if not text or "\n" in text:
-        raise location.error("the block has no name of its set-up")
+        raise location.error("the section has no name of its set-up")
     end = text.rfind("::", 0, len(text) - 1)
     instrument = text if end < 0 else text[end + 2 :]
     number, _, model = instrument[1:].partition(" - ")
     return text[: max(end, 0)], instrument[0] + number, model.replace("/", "-").strip()
 
 
-def _read_pose(block: _SetupSection, fields: Sequence[str], location: SourceLocation) -> None:
+def _read_pose(section: _SetupSection, fields: Sequence[str], location: SourceLocation) -> None:
     """Addition of the position or the rotation in a line of the pose to the section of its set-up."""
     if fields[0] == "# Meas." and len(fields) > 1:
-        block.n_declared_observations = int(location.parse_number(fields[1], "# Meas.", allows_decimal_comma=True))
+        section.n_declared_observations = int(location.parse_number(fields[1], "# Meas.", allows_decimal_comma=True))
     if fields[0].startswith("(") and len(fields) > 3:
         values = np.array([location.parse_number(text, allows_decimal_comma=True) for text in fields[1:4]])
         unit = UNIT_BY_SPELLING.get(fields[0].strip("()").lower(), "")
         if unit in LENGTH_UNITS:
-            block.position = values * SI_PER_UNIT[unit]
+            section.position = values * SI_PER_UNIT[unit]
         elif unit in ANGLE_UNITS:
-            block.rotation_angles = values * SI_PER_UNIT[unit]
+            section.rotation_angles = values * SI_PER_UNIT[unit]
         else:
             raise location.error(f"the unit '{safe_excerpt(fields[0].strip('()'))}' of the pose is not supported")
 
@@ -220,26 +225,26 @@ def _check_heading(fields: Sequence[str], location: SourceLocation) -> None:
             raise location.error(message, required_title.capitalize())
 
 
-def _table_sheet_of_section(block: _SetupSection, name: str, sheet_rows: list[SheetRow], file: Path) -> TableSheet:
+def _table_sheet_of_section(section: _SetupSection, name: str, sheet_rows: list[SheetRow], file: Path) -> TableSheet:
     """Table with the rows `sheet_rows` of the set-up `name`, reduced to the columns in `USED_REPORT_COLUMNS`.
 
     Titles of columns with offsets of reflectors are changed to end with the unit.
     """
     titles = {}
-    for place, title in enumerate(block.rows[0].fields):
+    for place, title in enumerate(section.table_rows[0].fields):
         word, unit = title_words_and_unit(title)
         if word in USED_REPORT_COLUMNS:
             titles[place] = f"{word}_{unit}" if word.startswith("offset") else title
     body = [SheetRow(row.line, tuple(row.cell(place) for place in titles)) for row in sheet_rows]
-    return TableSheet(file, (SheetRow(block.rows[0].line, tuple(titles.values())), *body), name)
+    return TableSheet(file, (SheetRow(section.table_rows[0].line, tuple(titles.values())), *body), name)
 
 
-def _station_names(blocks: Sequence[_SetupSection]) -> list[str]:
+def _station_names(sections: Sequence[_SetupSection]) -> list[str]:
     """Station name of each section: ``Instrument_0`` if instrument numbers are unique, otherwise ``COLLECTION::0``."""
-    block_numbers = [block.number for block in blocks]
-    if len(set(block_numbers)) == len(block_numbers):
-        return [f"Instrument_{number}" for number in block_numbers]
-    return [f"{block.collection}::{block.number}" for block in blocks]
+    instrument_numbers = [section.number for section in sections]
+    if len(set(instrument_numbers)) == len(instrument_numbers):
+        return [f"Instrument_{number}" for number in instrument_numbers]
+    return [f"{section.collection}::{section.number}" for section in sections]
 
 
 def _prefix_ambiguous_points(
@@ -309,16 +314,16 @@ def _new_names_by_group(name: str, groups: dict[str, list[tuple[str, Floats]]]) 
     }
 
 
-def _setup_from_poses(blocks: Sequence[_SetupSection], names: Sequence[str], file: Path) -> Setup:
+def _setup_from_poses(sections: Sequence[_SetupSection], names: Sequence[str], file: Path) -> Setup:
     """Set-up with the poses of the report as approximate poses, and one instrument for each model."""
     stations = {}
-    for name, block in zip(names, blocks, strict=True):
+    for name, section in zip(names, sections, strict=True):
         position = yaw = None
-        if (pose := block.pose) is not None:
+        if (pose := section.pose) is not None:
             position = tuple((pose[1] * 1e3).round(6).tolist())
             if pose[0][2, 2] > 0.9:
                 yaw = float(np.degrees(np.arctan2(pose[0][1, 0], pose[0][0, 0])))
-        stations[name] = Station(position_mm=position, yaw_deg=yaw, instrument=block.model or None)
-    models = sorted({block.model for block in blocks if block.model})
+        stations[name] = Station(position_mm=position, yaw_deg=yaw, instrument=section.model or None)
+    models = sorted({section.model for section in sections if section.model})
     instruments = {SourceLocation(file).checked_name(model, "instrument"): Instrument() for model in models}
     return Setup(title=file.stem, instruments=instruments, stations=stations)

@@ -120,7 +120,8 @@ def detect_thousands_separator(sheet_rows: Iterable[Sequence[str]], file: object
     }
     if len(cell_by_separator) > 1:
         raise RecordError(
-            f"contains numbers written as {cell_by_separator['.']} and as {cell_by_separator[',']}; use one notation",
+            f"the file contains numbers written as {cell_by_separator['.']} and as {cell_by_separator[',']}; "
+            "use one notation",
             file=file,
         )
     return next(iter(cell_by_separator), "")

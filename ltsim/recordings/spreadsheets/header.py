@@ -195,7 +195,7 @@ def _compute_header_columns(fields: tuple[str, ...]) -> list[TableColumn]:
 def _with_distance_sigma_role(column: TableColumn) -> TableColumn:
     """Column with the role of standard deviations of distances if its title is sD; any other column unchanged.
 
-    It is for tables with another column of distances; elsewhere the title denotes slope distances (SD).
+    The new role is for tables with another column of distances; elsewhere the title denotes slope distances (SD).
     """
     is_sigma = column.role == "distance" and title_words_and_unit(column.title)[0] == "sd"
     return replace(column, role=SIGMA_ROLES["distance"]) if is_sigma else column

@@ -94,12 +94,12 @@ class TextRows(Sequence[SheetRow]):
     def __getitem__(self, place: int | slice) -> SheetRow | TextRows:
         if isinstance(place, slice):
             return TextRows(self._lines[place], self.separator)
-        return self._row(*self._lines[place])
+        return self._split_line(*self._lines[place])
 
     def __iter__(self) -> Iterator[SheetRow]:
-        return starmap(self._row, self._lines)
+        return starmap(self._split_line, self._lines)
 
-    def _row(self, line_number: int, line: str) -> SheetRow:
+    def _split_line(self, line_number: int, line: str) -> SheetRow:
         if "#" in line and line.lstrip().startswith("#"):
             return SheetRow(line_number, _split_fields(line.lstrip().lstrip("#"), self.separator), is_comment=True)
         return SheetRow(line_number, _split_fields(line, self.separator))
@@ -278,7 +278,7 @@ def read_small_table(path: Path) -> tuple[list[str], list[tuple[int, dict[str, s
     """
     lines = [row for row in read_text_sheet(path).rows if not row.is_comment]
     if not lines:
-        raise RecordError("contains only comments, expected a header and rows", file=path)
+        raise RecordError("the file contains only comments, expected a header and rows", file=path)
     header, *rows = lines
     duplicate_title = next((name for name in header.fields if header.fields.count(name) > 1), None)
     if duplicate_title is not None:
@@ -337,7 +337,7 @@ def workbook_rows_by_sheet(file: Path) -> list[tuple[str, list[WorkbookRow]]]:
     except RecordError:
         raise
     except OSError as problem:
-        raise RecordError(f"cannot be read ({problem.strerror or 'damaged'})", file=file) from None
+        raise RecordError(f"the file cannot be read ({problem.strerror or 'damaged'})", file=file) from None
     except Exception as problem:  # the library raises whatever its parts raise
         what = f"is not a readable workbook ({type(problem).__name__}): it is damaged; save it again, or as CSV"
         raise RecordError(what, file=file) from None
@@ -350,9 +350,11 @@ def _read_workbook_sheets(book: Any, file: Path) -> list[tuple[str, list[Workboo
     """
     sheets = [sheet for sheet in book.worksheets if hasattr(sheet, "reset_dimensions")]
     if len(sheets) > MAX_WORKBOOK_SHEETS:
-        raise RecordError(f"holds more than {MAX_WORKBOOK_SHEETS} sheets, the limit for reading", file=file)
+        raise RecordError(f"the file holds more than {MAX_WORKBOOK_SHEETS} sheets, the limit for reading", file=file)
     if len({getattr(sheet, "_worksheet_path", sheet.title) for sheet in sheets}) < len(sheets):  # read once per sheet
-        raise RecordError("holds two sheets with the same content part: it is damaged; save it again", file=file)
+        raise RecordError(
+            "the file holds two sheets with the same content part: it is damaged; save it again", file=file
+        )
     rows = cells = characters = 0
     contents = []
     for sheet in sheets:
@@ -362,14 +364,14 @@ def _read_workbook_sheets(book: Any, file: Path) -> list[tuple[str, list[Workboo
             where = f"up to row {number} of sheet {safe_excerpt(sheet.title)}, the limit for reading"
             rows, cells = rows + 1, cells + len(values)
             if rows > MAX_TEXT_LINES or cells > MAX_WORKBOOK_CELLS:
-                what = f"holds more than {MAX_TEXT_LINES} rows or {MAX_WORKBOOK_CELLS} cells {where}"
+                what = f"the file holds more than {MAX_TEXT_LINES} rows or {MAX_WORKBOOK_CELLS} cells {where}"
                 raise RecordError(f"{what}; delete the cells far away from the table", file=file)
             texts = _cell_texts(values)
             size = sum(map(len, texts))
             characters += size
             if size > MAX_LINE_CHARACTERS or characters > MAX_FILE_BYTES:
                 most = f"{MAX_LINE_CHARACTERS} characters in a row or {MAX_FILE_BYTES // BYTES_PER_MIB} million in all"
-                raise RecordError(f"holds more than {most} {where}", file=file)
+                raise RecordError(f"the file holds more than {most} {where}", file=file)
             lines += [(number, texts)] if texts else []
         contents.append((sheet.title, lines))
     return contents

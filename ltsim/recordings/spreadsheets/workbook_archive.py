@@ -20,13 +20,15 @@ def checked_workbook_archive(file: Path, workbook_archive: io.BytesIO) -> io.Byt
     with zipfile.ZipFile(workbook_archive) as archive, zipfile.ZipFile(checked, "w") as copy:
         parts = archive.infolist()
         if len(parts) > MAX_WORKBOOK_PARTS:
-            raise RecordError(f"holds more than {MAX_WORKBOOK_PARTS} parts, the limit for reading", file=file)
+            raise RecordError(f"the file holds more than {MAX_WORKBOOK_PARTS} parts, the limit for reading", file=file)
         if sum(part.file_size for part in parts) > MAX_WORKBOOK_BYTES:
             most = f"{MAX_WORKBOOK_BYTES // BYTES_PER_MIB} MiB"
-            raise RecordError(f"unpacks to more than {most}, the limit for reading; save the table as CSV", file=file)
+            raise RecordError(
+                f"the file unpacks to more than {most}, the limit for reading; save the table as CSV", file=file
+            )
         for part in {part.filename: part for part in parts}.values():
             if part.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-                raise RecordError("is packed in a way that spreadsheets do not use; save it again", file=file)
+                raise RecordError("the file is packed in a way that spreadsheets do not use; save it again", file=file)
             with archive.open(part) as stream:
                 content = stream.read(part.file_size + 1)
             if part.filename.lower().endswith(".xml") or b"<" in content.lstrip()[:4]:  # after any byte-order mark

@@ -27,7 +27,7 @@ def with_untitled_angle_parts(columns: Sequence[TableColumn], rows: Sequence[She
         parts = [column.position]
         for other in columns[place + 1 : place + len(ANGLE_SYMBOLS)]:
             is_same_title = other.title in ("", f"{column.title} ({len(parts) + 1})") and not other.role
-            if not is_same_title or not _are_part_after(other.position, parts[-1], rows):
+            if not is_same_title or not _can_be_parts_after(other.position, parts[-1], rows):
                 break
             parts.append(other.position)
         if len(parts) > 1:
@@ -37,7 +37,7 @@ def with_untitled_angle_parts(columns: Sequence[TableColumn], rows: Sequence[She
     return joined
 
 
-def _are_part_after(position: int, earlier_position: int, rows: Sequence[SheetRow]) -> bool:
+def _can_be_parts_after(position: int, earlier_position: int, rows: Sequence[SheetRow]) -> bool:
     """True if the cells at `position` can be minutes or seconds after the whole numbers at `earlier_position`."""
     pairs = [(row.cell(earlier_position), row.cell(position)) for row in rows if not row.is_comment]
     numbers = [

@@ -1,4 +1,4 @@
-"""Option ``--columns``, with which the user states the role (content) of columns of a table, by title or number."""
+"""Option ``--columns``, with which the user assigns roles (contents) to columns of a table, by title or number."""
 
 from collections.abc import Sequence
 from dataclasses import replace

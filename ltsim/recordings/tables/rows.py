@@ -77,7 +77,7 @@ def read_pointing_table(
             if joined_table.unread_lines
             else ""
         )
-        raise RecordError(f"contains no pointings{unread or ' below its header'}", file=file)
+        raise RecordError(f"the file contains no pointings{unread or ' below its header'}", file=file)
     joined_table.pointings = join_pointings(parts)
     joined_table.columns = [replace(c, unit=joined_table.cell_units.get(c.title, c.unit)) for c in joined_table.columns]
     return joined_table
@@ -117,7 +117,7 @@ class _SheetReader:
 
     def __init__(self, sheet: TableSheet, hints: Hints) -> None:
         self.sheet, self.hints = sheet, hints
-        self.block = StationContext(sheet.station or hints.station or "")
+        self.station_context = StationContext(sheet.station or hints.station or "")
         self.table = PointingTable([])
         self.parts: list[UnconvertedPointings] = []
         self.header: list[TableColumn] = []
@@ -161,12 +161,12 @@ class _SheetReader:
         self.n_headers += 1
         if self.n_headers > MAX_TABLE_HEADERS:
             raise SourceLocation(self.sheet.file, row).error(
-                f"holds more than {MAX_TABLE_HEADERS} headers, the limit for reading"
+                f"the file holds more than {MAX_TABLE_HEADERS} headers, the limit for reading"
             )
         if self.hints.columns is None:
             require_readable_units(columns, SourceLocation(self.sheet.file, row))
         self.header = columns
-        columns = [*columns, *self.block.missing_height_columns(columns)]
+        columns = [*columns, *self.station_context.missing_height_columns(columns)]
         if columns != self.columns:
             self._convert_rows()
         self.table.add_header(columns, self.sheet.file, row)
@@ -220,9 +220,9 @@ class _SheetReader:
 
     def _process_line_without_pointing(self, row: SheetRow) -> None:
         """Update of station and heights by a line that is not a pointing; a line without them is reported as unused."""
-        n_heights = len(self.block.height_columns)
-        if self.block.read_line(row):
-            if self.header and len(self.block.height_columns) > n_heights:
+        n_heights = len(self.station_context.height_columns)
+        if self.station_context.read_line(row):
+            if self.header and len(self.station_context.height_columns) > n_heights:
                 self._start_header(self.header, row.line)
         elif not row.is_comment:
             self.table.unread_lines.append(f"line {row.line} of {self.sheet.file.name} ('{row}')")
@@ -239,13 +239,13 @@ class _SheetReader:
                 message += "; titles and cells with blanks need another separator, such as ;"
             raise SourceLocation(self.sheet.file, row.line).error(message)
         if len(self.columns) > width:
-            heights = [self.block.heights.get(c.role, "") for c in self.columns[width:]]
+            heights = [self.station_context.heights.get(c.role, "") for c in self.columns[width:]]
             row = row._replace(fields=(*pad_cells(row.fields, width), *heights))
         if self.station_position is not None:
             station = row.fields[self.station_position] if self.station_position < len(row.fields) else ""
-            self.n_unnamed += not station and bool(self.block.station)
-            self.block.station = station or self.block.station
-        self.row_batch.add_row(row, self.block.station)
+            self.n_unnamed += not station and bool(self.station_context.station)
+            self.station_context.station = station or self.station_context.station
+        self.row_batch.add_row(row, self.station_context.station)
 
     def _convert_rows(self) -> None:
         """Conversion, together, of all rows that are not yet converted to columns of pointings.

@@ -352,7 +352,7 @@ def _marks_and_targets(table: PointingTable) -> Iterator[tuple[str, str]]:
 def occupation_columns(table: PointingTable) -> dict[str, list[str]]:
     """Columns with the names of the occupations by the instrument and by the reflector in each pointing.
 
-    They are for tables without such columns: mark and day distinguish occupations of a survey mark.
+    The columns are for tables that lack them: mark and day distinguish occupations of a survey mark.
     """
     pointings = table.pointings
     days = pointings.date_and_time if table.column_with_role(("time",)) is None else [""] * len(pointings)

@@ -25,6 +25,7 @@ from ltsim.calibration.schema import (
     PARAMETERS_TABLE,
     RESIDUALS_TABLE,
     TARGETS_TABLE,
+    FitEntry,
 )
 from ltsim.calibration.uncertainty import uncertainty_sentences
 from ltsim.core.errors import option_text
@@ -75,7 +76,7 @@ if TYPE_CHECKING:
 MIN_REPORTED_CRITERION_CHANGE = 0.05
 """Smallest relative change [%] of the mean disagreement of the stations that is reported: half of the last printed
 digit."""
-STATUSES_WITHOUT_WARNING = ("", "converged", "not stated")
+STATUSES_WITHOUT_WARNING = ("", "converged", FitEntry().status)
 """Statuses of a fit for which the page has no warning."""
 
 

@@ -171,7 +171,7 @@ def scene_block(workshop: WorkshopScene) -> SceneBlock | NoteBlock:
     picture, legend, page = scene_picture_and_page(coloured_workshop)
     legend_text = "; ".join(line.rstrip(".") for line in legend.lines)
     colour_sentence = (
-        f" Lines of sight are coloured by {coloured_workshop.sights.value_label}." if coloured_workshop.sights else ""
+        f" Lines of sight are coloured by {coloured_workshop.sights.colour_label}." if coloured_workshop.sights else ""
     )
     caption = f"{legend_text[:1].upper()}{legend_text[1:]}.{colour_sentence}"
     return SceneBlock("The hall in 3D", webp_data_uri(picture), caption, page)

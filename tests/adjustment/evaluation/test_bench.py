@@ -56,8 +56,8 @@ def test_the_command_writes_what_it_shows(tmp_path: Path, capsys: pytest.Capture
 @pytest.mark.parametrize(
     ("rows", "message"),
     [
-        ("0,1,2\n", "has values of length_um at 1 angles, expected 3"),
-        ("0,1,2\n5,1,2\n10,1,2\n", "has values of probe_um at 3 angles, expected 4"),
+        ("0,1,2\n", "length_um has values at 1 angles, expected 3"),
+        ("0,1,2\n5,1,2\n10,1,2\n", "probe_um has values at 3 angles, expected 4"),
         ("0,1,2\n,1,2\n", "row 2: an angle is missing"),
         ("0,wide,2\n", "'wide' is not a number"),
     ],
