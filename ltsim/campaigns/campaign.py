@@ -215,12 +215,6 @@ def _extended_campaign(
     Existing cells (combinations of factor levels) keep their numbers. InputError is raised if the file would change
     existing rows.
     """
-    if not resume:
-        raise InputError(
-            f"{store.folder}: the folder holds a campaign; continue it with {option_text('resume=True')}, "
-            f"name another {option_text('out')}, or start again with {option_text('force=True')}"
-        )
-    manifest = store.manifest()
     if not all(old.digest for old in manifest.cells):
         raise InputError(
             f"{store.folder}: the campaign was started by an earlier version of ltsim; start again with another "

@@ -166,7 +166,7 @@ def test_a_traverse_without_backsights_names_the_undetermined_direction(tmp_path
         adjust(read(file))
 
 
-def test_a_part_with_one_reference_point_names_its_undetermined_rotation(tmp_path: Path) -> None:
+def test_a_part_with_a_single_reference_point_names_its_undetermined_rotation(tmp_path: Path) -> None:
     """Earlier: the observations with their declared noise do not determine all unknowns."""
     legs = [(i, j) for part in ((0, 1, 2), (3, 4, 5)) for i in part for j in part if i != j]
     recording = read(spatial_traverse(tmp_path / "a.csv", legs))

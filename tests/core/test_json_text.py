@@ -26,7 +26,7 @@ def test_parts_make_the_text_of_the_whole(content: dict[str, Any], entries: dict
     )
 
 
-def test_entries_are_made_one_after_the_other() -> None:
+def test_entries_are_made_in_sequence() -> None:
     made = []
 
     def entries() -> Any:

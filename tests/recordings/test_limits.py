@@ -617,10 +617,10 @@ def test_a_network_of_too_many_targets_is_refused(tmp_path: Path) -> None:
             verb(file)
 
 
-def test_equal_objects_of_a_file_are_one_dictionary_if_their_numbers_are_written_alike(tmp_path: Path) -> None:
+def test_equal_objects_of_a_file_share_a_dictionary_if_their_numbers_are_written_equally(tmp_path: Path) -> None:
     """The scenarios of 3,660 cells of a campaign took 150 MB while they were read."""
-    one, other = '{"x": [0.5, {"y": 1}]}', '{"x": [0.5, {"y": 1.0}]}'
-    texts = [one, one, other, '{"x": [-0.0]}', '{"x": [0.0]}']
+    entry, other = '{"x": [0.5, {"y": 1}]}', '{"x": [0.5, {"y": 1.0}]}'
+    texts = [entry, entry, other, '{"x": [-0.0]}', '{"x": [0.0]}']
     file = tmp_path / "a.json"
     file.write_text(f'{{"entries": [{", ".join(texts)}]}}')
     shared = read_json(file, "result", shares_equal_objects=True)["entries"]

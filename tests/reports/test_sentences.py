@@ -144,7 +144,7 @@ def test_findings_that_held_out_readings_contradict_are_not_used(tmp_path: Path)
     assert next_actions_after_diagnosis(without.model_copy(update={"verdict": "consistent"})) == []
 
 
-def test_evidence_without_a_fall_of_chi_square_is_not_called_one() -> None:
+def test_evidence_without_a_fall_of_chi_square_is_not_called_so() -> None:
     """An exchange of names 3 m apart had `chi2 falls by 509`, which was twice a gain of log evidence."""
     exchange = finding("target-swap", "outlier").model_copy(update={"sentence": "P1 and P2 were exchanged."})
     place = CausePlace(stations=("S3",), targets=("P1", "P2"))
