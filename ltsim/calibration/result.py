@@ -105,7 +105,7 @@ def outlier_rows(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
     recording = adjustment.recording
     whitened = np.nan_to_num(adjustment.residuals / adjustment.problem.reading_sigmas)
 
-    def outlier_row(i: int, column: int, size_si: float, w: float, **other_fields: Any) -> OutlierRow:
+    def outlier(i: int, column: int, size_si: float, w: float, **other_fields: Any) -> OutlierRow:
         unit, factor = OBSERVABLE_DISPLAY_UNITS[column]
         station, target = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
         named = {"row": i + 1, "station": station, "target": target, "observable": OBSERVABLES[column], "unit": unit}
@@ -115,18 +115,16 @@ def outlier_rows(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
     for i in np.flatnonzero(adjustment.is_gross_pointing).tolist():
         k = int(np.argmax(np.abs(whitened[i])))
         residual, w = adjustment.residuals[i, k], float(whitened[i, k])
-        outliers.append(outlier_row(i, k, residual, w, pointing_excluded=True, excluded=True))
+        outliers.append(outlier(i, k, residual, w, pointing_excluded=True, excluded=True))
     single = adjustment.is_rejected_reading & ~adjustment.is_gross_pointing[:, None]
     single &= _estimated_error_mask(adjustment, whitened)
     for i, k in sorted(np.argwhere(single).tolist(), key=lambda at: -abs(whitened[at[0], at[1]])):
-        outliers.append(outlier_row(i, k, adjustment.residuals[i, k], float(whitened[i, k]), excluded=True))
+        outliers.append(outlier(i, k, adjustment.residuals[i, k], float(whitened[i, k]), excluded=True))
     flagged_readings = adjustment.flagged_readings(uses_estimated_noise=fit_verdict(adjustment).uses_estimated_noise)
     return (
         *outliers,
         *(
-            outlier_row(
-                o.pointing_index, o.observable_column, o.estimated_error, o.normalised_residual, p_value=o.p_value
-            )
+            outlier(o.pointing_index, o.observable_column, o.estimated_error, o.normalised_residual, p_value=o.p_value)
             for o in flagged_readings
         ),
     )

@@ -173,7 +173,7 @@ class CampaignFolder:
         """Manifest of the campaign; InputError if the campaign cannot be continued, or `resume` is false."""
         if not resume:
             raise InputError(
-                f"{self.folder}: holds a campaign; continue it with {option_text('resume=True')}, "
+                f"{self.folder}: the folder holds a campaign; continue it with {option_text('resume=True')}, "
                 f"name another {option_text('out')}, or start again with {option_text('force=True')}"
             )
         manifest = self.manifest()

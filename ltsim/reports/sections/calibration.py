@@ -74,8 +74,7 @@ if TYPE_CHECKING:
     from ltsim.reports.workshop_scene import DrawnSights, WorkshopScene
 
 MIN_REPORTED_CRITERION_CHANGE = 0.05
-"""Smallest relative change [%] of the mean disagreement of the stations that is reported: half of the last printed
-digit."""
+"""Smallest relative change [%] of the mean disagreement of stations that is reported: half of the last printed digit."""
 STATUSES_WITHOUT_WARNING = ("", "converged", FitEntry().status)
 """Statuses of a fit for which the page has no warning."""
 
@@ -297,8 +296,8 @@ def _next_actions(content: Calibration, *, is_accepted: bool) -> list[str]:
         and not (content.noise_estimated or _fits_with_estimated_constants(content) or _has_explaining_noise(content))
     ):
         action = "Run ltsim diagnose to locate the disagreement of readings and model, and use its coordinates."
-        has_unmodelled_fault = any(not test.is_in_model for test in corrected_faults(content.tests))
-        actions.insert(0 if has_unmodelled_fault else len(actions), action)
+        is_urgent = any(not test.is_in_model for test in corrected_faults(content.tests))
+        actions = [action, *actions] if is_urgent else [*actions, action]
     if content.verdict.is_sigma0_credible and not (content.noise or _fits_with_estimated_constants(content)):
         actions.append(f"If the noise is not known, estimate it from the data: {option_text('noise_from_data=True')}.")
     measurements = dict.fromkeys(e.measurement for e in content.undetermined if e.measurement)
