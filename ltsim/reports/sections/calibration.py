@@ -74,7 +74,7 @@ if TYPE_CHECKING:
     from ltsim.reports.workshop_scene import DrawnSights, WorkshopScene
 
 MIN_REPORTED_CRITERION_CHANGE = 0.05
-"""Smallest relative change [%] of the mean disagreement of stations that is reported: half of the last printed digit."""
+"""Smallest reported relative change [%] of the mean disagreement of stations: half of the last printed digit."""
 STATUSES_WITHOUT_WARNING = ("", "converged", FitEntry().status)
 """Statuses of a fit for which the page has no warning."""
 
