@@ -89,8 +89,8 @@ class IdentifiedNetwork:
     @property
     def corrections_text(self) -> str:
         """Sentence on the number and place of the identified causes of a misfit in the model; empty without a cause."""
-        is_used = self.adjustment.problem.is_used_reading.any(axis=1).tolist()
-        return corrections_sentence(self.tests, [row for row, used in enumerate(is_used, start=1) if not used])
+        is_used = self.adjustment.problem.is_used_reading.tolist()
+        return corrections_sentence(self.tests, [row for row, used in enumerate(is_used, start=1) if not any(used)])
 
     @property
     def sentences(self) -> tuple[str, ...]:
