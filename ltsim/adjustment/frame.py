@@ -389,7 +389,7 @@ def _nan_median(values: Floats) -> Floats:
 
 
 def points_with_slope_distances(recording: Recording) -> Floats | None:
-    """Points (n, 3) [m] of n pointings, from slope instead of horizontal distances; None without horizontal ones."""
+    """Points (n, 3) [m] of n pointings if horizontal distances are read as slope distances; None without such ones."""
     is_horizontal_distance = recording.is_horizontal_distance
     if not is_horizontal_distance.any():
         return None

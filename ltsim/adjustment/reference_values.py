@@ -36,7 +36,7 @@ class ReferenceValue:
     """Reference value with q components, for example a known point with three or a length with one."""
 
     kind: ReferenceKind
-    """Kind of the reference value."""
+    """Kind of the reference value, such as `point`, `length` or `level`."""
     name: str
     """Name of the target or station, or names of both ends of a length or difference, such as `A-B`."""
     declared_axes: str

@@ -214,10 +214,10 @@ def _solution_estimate(
     n_iterations: int,
     is_converged: bool,
 ) -> DistanceEstimate:
-    """Parameters estimated from distances, with their covariance, from the solution of an iteration.
+    """Instrument parameters estimated from distances, with their covariance, after the last step of the iteration.
 
-    `solution` contains the unknowns, the estimated combinations (unknowns, combinations), and the combinations fixed at
-    zero.
+    `solution` contains the unknowns, the estimated linear combinations of instrument parameters (unknowns,
+    combinations), and the combinations that distances hardly determine and that are fixed at zero.
     """
     unknowns, estimated, undetermined = solution
     covariance, noise = estimate_covariance(comparisons, estimated, norm)

@@ -221,7 +221,7 @@ def _run_estimation(
 
 
 def _write_and_print_criteria(terminal: ResultFolderTerminal, criteria: Criteria) -> None:
-    """Output of criteria on the terminal and, if the terminal has a folder, in the file of this folder."""
+    """Print the criteria (disagreement of stations in distances and coordinates) and write them to a folder."""
     criteria = terminal.write_result(criteria)
     terminal.print_json(criteria.content())
     terminal.print_text(criteria.table().text())

@@ -235,11 +235,11 @@ class Diagnosis(ResultFile):
 
     @property
     def n_effect_coefficients(self) -> int:
-        """Number of estimated coefficients of all effects that shift readings.
+        """Number of estimated coefficients of all effects in the model of the diagnosis that shift readings.
 
-        An empirical law with an estimated ratio of its w components has w - 1 further coefficients. If no effect shifts
-        readings, the result is the number of parameters of the findings. An empirical law is an error as a function of
-        covariates.
+        An empirical law (function of covariates) changes w components, such as azimuth and elevation, in a fixed ratio;
+        if this ratio is estimated, it counts as w - 1 coefficients. Without effects that shift readings, the number of
+        parameters of the findings is counted.
         """
         model = self.final_adjustment.problem.model
         ratios = sum(

@@ -163,7 +163,8 @@ class LawBatch:
     responses: tuple[Response, ...]
     """Quantities (C responses with c components each) that the empirical laws (functions of covariates) change."""
     regressors: tuple[Regressor, ...]
-    """Functions of covariates (D regressors with k columns each) to which the empirical laws are proportional."""
+    """Functions of covariates, D regressors of k basis functions (such as sine and cosine) each; a law is a linear
+    combination of the basis functions of its regressor."""
     places: tuple[LawPlace, ...]
     """Stations, targets or instruments (P places) where the empirical laws (functions of covariates) act."""
     pointing_partition: PointingPartition

@@ -38,7 +38,7 @@ class NoiseHypothesis:
 
     @property
     def log_prior(self) -> float:
-        """Log prior probability of this kind of noise hypothesis (changed noise): of the catalogue, or outside it."""
+        """Log prior probability of the noise hypothesis; kinds of the catalogue have another one than unknown kinds."""
         return log_prior_of_each_explanation("scatter" if self.family_name.startswith("unknown") else "noise", 1)
 
     @property

@@ -141,7 +141,7 @@ def are_distinct(effect: CandidateEffect, other_effect: CandidateEffect) -> bool
 
 
 class ShapeParameterNode(NamedTuple):
-    """Node of the grid of shape parameters of an effect: their values, and estimates of the k parameters."""
+    """Node of a grid over the shape parameters of an effect, with the estimates of the k sizes of the effect there."""
 
     effect: CandidateEffect
     """Effect with the shape parameters of the node."""
@@ -150,9 +150,9 @@ class ShapeParameterNode(NamedTuple):
     shape_parameters: dict[str, float]
     """Values [SI] of the shape parameters by name, including the time of a change."""
     parameter_means: Floats
-    """Posterior mean (k,) of the k parameters [SI], given the shape parameters of the node."""
+    """Posterior mean (k,) [SI] of the k sizes of the effect, given the shape parameters of the node."""
     parameter_variances: Floats
-    """Posterior variance (k,) of the k parameters [SI], given the shape parameters of the node."""
+    """Posterior variance (k,) [SI squared] of the k sizes of the effect, given the shape parameters of the node."""
     gap_duration: float
     """Time [s] between the pointings before and after a change, which may have happened at any time in between."""
 

@@ -89,7 +89,7 @@ class PlannedReflectorEntry(Entry):
     tolerance_ratio: OptionalFloat = None
     """Ratio of point error to tolerance (`point_error_mm` / `tolerance_mm`); at most 1 if the tolerance is met."""
     tolerance_met: bool | None = None
-    """True if the tolerance is met; null without a tolerance."""
+    """True if the expected uncertainty is within its tolerance; null without a tolerance."""
 
     @classmethod
     def from_layout(cls, layout: LayoutEvaluation, check: ToleranceCheck | None) -> tuple[Self, ...]:

@@ -248,7 +248,7 @@ def _detect_separator(lines: Sequence[str]) -> str:
 
 
 def _max_numeric_field_count(lines: Sequence[str], separator: str, min_columns: int) -> int:
-    """Largest total number of numeric fields in lines that have equally many fields, at least `min_columns`."""
+    """Number of numeric fields in the largest group of lines that have equally many (at least `min_columns`) fields."""
     wide_rows = [fields for fields in (_split_fields(line, separator) for line in lines) if len(fields) >= min_columns]
     is_number_cell = is_number_or_angle_with_point if separator == "," else is_numeric
     counts: Counter[int] = Counter()
