@@ -371,7 +371,9 @@ class ManifestFile(ResultFile):
             raise ValueError("a factor has no key of the scenario")
         for number, cell in enumerate(self.cells):
             if cell.cell != number or {*cell.levels} != {*names}:
-                raise ValueError(f"entry {number + 1} in cells is not cell {number} with a level for each factor")
+                raise ValueError(
+                    f"entry {number + 1} of 'cells' should have the number {number} and a level for each factor"
+                )
         number_of_shards(self.trials, self.trials_per_shard or max(self.trials, 1), len(self.cells))
         statistics = self.settings.get("statistics", [])
         if not (isinstance(statistics, list) and all(name in get_args(StatisticGroup) for name in statistics)):

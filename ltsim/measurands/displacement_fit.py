@@ -119,7 +119,7 @@ class WhitenedDifferences:
 
 @dataclass(frozen=True)
 class PointTests:
-    """Test of each of N points: fit with a displacement of this point as further unknown, against the fit without it."""
+    """Test of each of N points: fit with a displacement of this point as further unknown, against a fit without."""
 
     normal_equations: Floats
     """Normal equations of the displacement of each point after elimination of the unknowns of the fit, shape (N, axes,
