@@ -268,8 +268,8 @@ def test_a_manifest_that_does_not_belong_to_its_rows_is_refused(sweep: Any, tmp_
     manifest = json.loads((sweep.folder / "manifest.json").read_text())
     cells, factors = manifest["cells"], manifest["factors"]
     wrong: dict[str, Any] = {
-        "is not cell 0 with a level for each": {"cells": [cells[0] | {"levels": {}}, *cells[1:]]},
-        "is not cell 1 with a level": {"cells": [cells[0], *cells[2:]]},
+        "should have the number 0 and a level for each": {"cells": [cells[0] | {"levels": {}}, *cells[1:]]},
+        "should have the number 1 and a level": {"cells": [cells[0], *cells[2:]]},
         "cells.0.levels.faces": {"cells": [cells[0] | {"levels": cells[0]["levels"] | {"faces": {}}}, *cells[1:]]},
         "cell 3 and method": {"cells": cells[:-1]},
         "and method distance, which are not in": {"methods": ["network"]},

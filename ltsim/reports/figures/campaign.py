@@ -209,7 +209,7 @@ def sweep_panels_figure(
 
 
 def _axis_positions(line_points: Sequence[SweepPoint], level_texts: Sequence[str], offset_fraction: float) -> Floats:
-    """Positions (n,) on the x axis: levels of a factor; texts at 0, 1, ..., shifted by -0.15 to 0.15 by the fraction."""
+    """Positions (n,) on the x axis: levels of a factor; texts at 0, 1, ... shifted by -0.15 to 0.15 by the fraction."""
     place = [level_texts.index(row.level) if isinstance(row.level, str) else row.level for row in line_points]
     return np.array(place, dtype=np.float64) + (0.3 * (offset_fraction - 0.5) if level_texts else 0.0)
 
