@@ -184,9 +184,7 @@ def _local_shift_gains_and_starts(fit: NetworkFit, candidates: Sequence[ShiftCan
             out = int(gross[rows].sum())
             if 4 * out < len(rows) or 3 * out < c.family.design.shape[2] or not out:
                 continue
-            shift = LocalShiftProblem.from_design(
-                weighted[i][rows], fit.whitened_residuals[rows], fit.is_outlier[rows]
-            )
+            shift = LocalShiftProblem.from_design(weighted[i][rows], fit.whitened_residuals[rows], fit.is_outlier[rows])
             trials += [(i, sign, shift)] if shift.has_outliers_and_parameters else []
     fits = fit_local_shifts([shift for *_, shift in trials], price)
     for (i, sign, _), (saved, guess) in zip(trials, fits, strict=True):

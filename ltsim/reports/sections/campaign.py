@@ -336,7 +336,8 @@ def _errors_before_and_after_tables(
         entries = [summaries.get(name, []) for name in (*error_columns_of_ratio(share), share)]
         rows = [
             [
-                names[row_summaries[0].cell], row_summaries[0].method,
+                names[row_summaries[0].cell],
+                row_summaries[0].method,
                 *(_mean_interval_text(s, "") for s in row_summaries),
             ]
             for row_summaries in zip(*entries, strict=all(entries))
