@@ -59,6 +59,8 @@ def smallest_difference_that_counts(place: str, figures: dict[str, Any]) -> floa
     rounding = float(np.finfo(float).eps) * LARGEST_UNROUNDED
     if name in PROBABILITIES:
         return ALIKE
+    if name == "improvement_percent":  # 100 (1 - after / before), of two figures that may differ by `ALIKE` each
+        return 100 * ALIKE
     sigma = figures.get(f"{above}/sigma")
     if name == "value" and isinstance(sigma, float):
         return max(rounding, ALIKE * sigma)
