@@ -59,6 +59,10 @@ def smallest_difference_that_counts(place: str, figures: dict[str, Any]) -> floa
     rounding = float(np.finfo(float).eps) * LARGEST_UNROUNDED
     if name in PROBABILITIES:
         return RELATIVE_TOLERANCE
+    if (
+        name == "improvement_percent"
+    ):  # 100 (1 - after / before), of two figures that may differ by `RELATIVE_TOLERANCE` each
+        return 100 * RELATIVE_TOLERANCE
     sigma = figures.get(f"{above}/sigma")
     if name == "value" and isinstance(sigma, float):
         return max(rounding, RELATIVE_TOLERANCE * sigma)
