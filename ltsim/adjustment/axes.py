@@ -14,7 +14,7 @@ from scipy import special
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.frame import alignment_distances
-from ltsim.adjustment.level_surface import levelled_heights_notes
+from ltsim.adjustment.level_surface import N_PLANE_COEFFICIENTS, levelled_heights_notes
 from ltsim.adjustment.significance import MIN_MISFIT_RATIO, SINGLE_TEST_LEVEL
 from ltsim.adjustment.start import initial_network
 from ltsim.core.arrays import Floats
@@ -33,9 +33,6 @@ MAX_RELATIVE_POINT_MISCLOSURE = 0.05
 points. Nominal coordinates of a drawing differ less from a network. Declared coordinates whose scale differs from the
 network by more than this fraction are rejected too.
 """
-MIN_LEVELLED_POINTS = 5
-"""Smallest number of control points whose heights are compared with a level surface: a plane through them and the
-curvature leave one of their heights redundant."""
 NO_RESTRICTED_AXES: Mapping[str, Axes] = MappingProxyType({})
 """Default of the axes in which each target defines the datum: an empty mapping, for all three axes of every target."""
 
@@ -198,7 +195,7 @@ def _levelled_control_notes(recording: Recording, points_by_name: Mapping[str, F
     It is empty if the network without the control points cannot be adjusted.
     """
     points = {name: place for name, place in points_by_name.items() if name in recording.targets}
-    if not recording.setup.curved or len(points) < MIN_LEVELLED_POINTS:
+    if not recording.setup.curved or len(points) <= N_PLANE_COEFFICIENTS + 1:  # none of the heights would be redundant
         return []
     try:
         return levelled_heights_notes(adjust(recording), points, source_text)

@@ -99,8 +99,8 @@ def _separate_parts_sentence(
     `station_parts` (S,) are the numbers of the parts of S stations.
     """
 
-    def stations_text(parts: set[int]) -> str:
-        return names_text([recording.stations[s] for s in np.flatnonzero(np.isin(station_parts, [*parts])).tolist()])
+    def stations_text(numbers: set[int]) -> str:
+        return names_text([recording.stations[s] for s in np.flatnonzero(np.isin(station_parts, [*numbers])).tolist()])
 
     detached_text = " and ".join(f"stations {stations_text({part})}" for part in detached_parts)
     n_parts = 1 + len(detached_parts)

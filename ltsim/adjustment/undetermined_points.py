@@ -5,29 +5,28 @@ import numpy as np
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.notation import names_text
-from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
+from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE, SQRT_MACHINE_EPSILON
 from ltsim.geometry.rigid import VERTICAL, rigid_motion_jacobian
 from ltsim.physics.model.measurement import NetworkState
-from ltsim.solve.design import to_dense
+from ltsim.solve.design import MAX_DENSE_ENTRIES, to_dense
 from ltsim.solve.gauss_newton import Solution, TerminationStatus
 
-MAX_UNKNOWNS_OF_DENSE_EIGENVECTORS = 600
-"""Largest number of unknowns for which the undetermined combinations of unknowns are computed (about 0.2 s)."""
-MIN_RELATIVE_EIGENVALUE = 1e-13
+MIN_RELATIVE_EIGENVALUE = NORMAL_EQUATIONS_TOLERANCE * NORMAL_EQUATIONS_TOLERANCE
 """Eigenvalue of the normal matrix with columns of unit norm, divided by the largest, below which the combination of
-unknowns counts as undetermined. Rounding errors of the eigenvalues are ten times smaller."""
-MIN_RELATIVE_MOTION = 1e-4
-"""Motion of a point, divided by that of the farthest moving point, above which the point counts as undetermined."""
+unknowns counts as undetermined: the square of the relative limit for singular values of the design matrix."""
+MIN_RELATIVE_MOTION = float(np.sqrt(SQRT_MACHINE_EPSILON))
+"""Motion of a point, divided by that of the farthest moving point, above which the point counts as undetermined: the
+rounding error of an eigenvector is smaller."""
 
 
 def undetermined_points_sentence(problem: NetworkProblem, solution: Solution[NetworkState]) -> str:
     """Sentence on the points and set-ups that can move without a change of any observation; empty for none.
 
-    The sentence is empty unless the system of the solution is singular, and for more unknowns than
-    `MAX_UNKNOWNS_OF_DENSE_EIGENVECTORS`.
+    The sentence is empty unless the system of the solution is singular, and for more unknowns than a dense normal
+    matrix may have (`MAX_DENSE_ENTRIES`).
     """
     state, design = solution.x, solution.system.design
-    if solution.status is not TerminationStatus.SINGULAR or design.shape[1] > MAX_UNKNOWNS_OF_DENSE_EIGENVECTORS:
+    if solution.status is not TerminationStatus.SINGULAR or design.shape[1] ** 2 > MAX_DENSE_ENTRIES:
         return ""
     null_vectors = _undetermined_combinations(np.asarray(to_dense(design)))
     if not null_vectors.shape[1]:
@@ -61,8 +60,8 @@ def undetermined_points_sentence(problem: NetworkProblem, solution: Solution[Net
     if not texts:
         return ""
     return (
-        f"the observations do not determine {' and '.join(texts)}; measure common targets that connect them with the "
-        "other points, or give further reference coordinates"
+        f"the observations with their declared noise do not determine {' and '.join(texts)}; measure common targets "
+        "that connect them with the other points, or give further reference coordinates"
     )
 
 

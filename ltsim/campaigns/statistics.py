@@ -37,11 +37,11 @@ from ltsim.campaigns.schema import (
     find_result_column,
     sql_identifier,
     statistic_sql_expressions,
+    summary_table,
 )
 from ltsim.campaigns.stopping import interval_error_rate, student_t_quantile
 from ltsim.campaigns.store import CampaignFolder
 from ltsim.campaigns.summary import CampaignSummary, SolverComparison, StatisticSummary, ZScoreSummary, unchecked_entry
-from ltsim.campaigns.summary_output import summary_rows
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import InputError, ModelError, unknown_name_error
 from ltsim.core.results import ColumnValues, Table
@@ -182,7 +182,13 @@ class CampaignStatistics:
 
     def _summary(self) -> Table:
         """Table `summary.csv`: all statistics for each cell (combination of factor levels) and method."""
-        return summary_rows(self, (entry for _, entries in self.summaries_by_column() for entry in entries))
+        return self.summary_rows((entry for _, entries in self.summaries_by_column() for entry in entries))
+
+    def summary_rows(self, entries: Iterable[StatisticSummary]) -> Table:
+        """Table with the columns of `summary.csv`, one row for each of the `entries`."""
+        table = summary_table({factor.name: factor.kind for factor in self.factors})
+        names, rows = table.header[-len(QUANTILE_LEVELS) :], self.with_factor_levels(entries)
+        return table.with_rows(row | dict(zip(names, row["quantiles"], strict=True)) for row in rows)
 
     def summaries_by_column(self) -> Iterator[tuple[str, list[StatisticSummary]]]:
         """Name and statistics of each column of the summary, computed one after the other."""

@@ -6,18 +6,15 @@ result column are in memory at a time.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from itertools import chain
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from ltsim.campaigns.schema import QUANTILE_LEVELS, summary_table
+from ltsim.campaigns.statistics import CampaignStatistics
 from ltsim.campaigns.summary import StatisticSummary
 from ltsim.core.json_text import json_object_parts
-
-if TYPE_CHECKING:
-    from ltsim.campaigns.statistics import CampaignStatistics
-    from ltsim.core.results import Table
+from ltsim.core.results import Table
 
 
 class SummariesByColumn(Mapping[str, list[StatisticSummary]]):
@@ -42,29 +39,21 @@ class SummariesByColumn(Mapping[str, list[StatisticSummary]]):
         return len(self._names)
 
 
-def summary_rows(results: CampaignStatistics, entries: Iterable[StatisticSummary]) -> Table:
-    """Table with the columns of `summary.csv`, one row for each of the `entries`."""
-    table = summary_table({factor.name: factor.kind for factor in results.factors})
-    quantiles = table.header[-len(QUANTILE_LEVELS) :]
-    rows = results.with_factor_levels(entries)
-    return table.with_rows(row | dict(zip(quantiles, row["quantiles"], strict=True)) for row in rows)
-
-
 def summary_csv_text(results: CampaignStatistics) -> str:
     """Content of `summary.csv`."""
-    header = summary_rows(results, ()).csv_text()
-    texts = (summary_rows(results, entries).csv_text() for _, entries in results.summaries_by_column())
+    header = results.summary_rows(()).csv_text()
+    texts = (results.summary_rows(entries).csv_text() for _, entries in results.summaries_by_column())
     return "".join(chain([header], (text.removeprefix(header) for text in texts)))
 
 
 def first_summary_rows(results: CampaignStatistics, max_rows: int) -> tuple[Table, int]:
     """Table with the first `max_rows` rows of `summary.csv`, and the number of all its rows."""
-    table, n_rows = summary_rows(results, ()), 0
+    table, n_rows = results.summary_rows(()), 0
     for _, entries in results.summaries_by_column():
         added = entries[: max(max_rows - n_rows, 0)]
         n_rows += len(entries)
         if added:
-            table = replace(table, rows=table.rows + summary_rows(results, added).rows)
+            table = replace(table, rows=table.rows + results.summary_rows(added).rows)
     return table, n_rows
 
 

@@ -124,7 +124,7 @@ def test_targets_on_a_line_are_reported_to_be_on_a_line() -> None:
     )
     readings = to_polar(local)
     readings[(recording.station == 4) & (recording.target >= 10)] = np.nan
-    with pytest.raises(NetworkError, match=r"S5: the 10 targets that it shares .* lie on one line"):
+    with pytest.raises(NetworkError, match=r"S5 shares 10 targets .* lie on one line"):
         adjust(recording.with_readings(readings))
 
 

@@ -35,7 +35,7 @@ def test_head_names_who_measured_what_for_whom(folder: Path) -> None:
     html = page_html(content)
     assert "Hall &lt;3&gt;" in html
     assert html.index("Model 9, 751234") < html.index(content.headline) < html.index("What to do next")
-    assert content.next_actions[0].startswith("Inspect S3 for the cause")  # no alternative is worth a measurement
+    assert content.next_actions[0].startswith("Let the tripod of S3 settle")  # no alternative is worth a measurement
 
 
 def test_instruments_head_a_report_where_nobody_says_which(folder: Path, tmp_path: Path) -> None:

@@ -165,7 +165,7 @@ class UnconvertedPointings:
         names = {key: file.name for key, file in dict(zip(map(id, self.file), self.file, strict=True)).items()}
         return [f"{names[key]}, line {line}" for key, line in zip(map(id, self.file), self.line, strict=True)]
 
-    def in_order(self, order: Iterable[int]) -> UnconvertedPointings:
+    def reordered_pointings(self, order: Iterable[int]) -> UnconvertedPointings:
         """Pointings with the indices in `order`, in this order."""
         positions = list(order)
         list_columns: list[Any] = [[column[i] for i in positions] for column in self.complete_columns]

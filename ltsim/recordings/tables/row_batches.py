@@ -75,7 +75,7 @@ class RowBatchReader:
         pointings = join_pointings([self._pointings_of_face(face, row_batch, table) for face in self.faces])
         angles = pointings.digit_texts_of_roles((*HORIZONTAL_ROLES, *VERTICAL_ROLES)) != b""
         by_row = np.arange(2 * len(row_batch)).reshape(2, -1).T.ravel()
-        return pointings.in_order(by_row[angles[by_row]].tolist())
+        return pointings.reordered_pointings(by_row[angles[by_row]].tolist())
 
     def _pointings_of_face(
         self, face: int, row_batch: RowBatch, table: Sequence[Sequence[str]]

@@ -296,13 +296,13 @@ def _next_actions(content: Calibration, *, is_accepted: bool) -> list[str]:
         and not (content.noise_estimated or _fits_with_estimated_constants(content) or _has_explaining_noise(content))
     ):
         action = "Run ltsim diagnose to locate the disagreement of readings and model, and use its coordinates."
-        is_urgent = any(not test.is_in_model for test in corrected_faults(content.tests))
-        actions = [action, *actions] if is_urgent else [*actions, action]
+        actions.insert(0 if any(not t.is_in_model for t in corrected_faults(content.tests)) else len(actions), action)
     if content.verdict.is_sigma0_credible and not (content.noise or _fits_with_estimated_constants(content)):
         actions.append(f"If the noise is not known, estimate it from the data: {option_text('noise_from_data=True')}.")
     measurements = dict.fromkeys(e.measurement for e in content.undetermined if e.measurement)
     actions += [f"To determine further parameters: {measurement}." for measurement in list(measurements)[:3]]
-    if content.parameters and is_accepted and not actions and content.applied_values.any():
+    applied_values = (p.value if p.applied_value is None else p.applied_value for p in content.parameters)
+    if is_accepted and not actions and any(applied_values):
         actions.append("Apply the calibration to further readings with ltsim correct.")
     return actions
 
