@@ -56,7 +56,7 @@ def identified(recording: Recording) -> CauseSelection:
     [
         (12.7, "a 0.5 inch SMR in place of a 1.5 inch one"),
         (-4.76, "a 7/8 inch SMR in place of a 0.5 inch one"),
-        (34.4, "another SMR or adaptor"),
+        pytest.param(34.4, "another SMR or adaptor", marks=pytest.mark.long),
     ],
 )
 def test_another_reflector_in_every_nest_of_a_set_up(length_mm: float, cause: str) -> None:
@@ -146,7 +146,7 @@ def test_occupations_of_labels_and_days() -> None:
     assert (occupation[recording.station != recording.stations.index("S1")] == -1).all()
 
 
-@pytest.mark.parametrize("scatter", [0.1, 0.5])
+@pytest.mark.parametrize("scatter", family([0.5, 0.1], 1))
 def test_repeats_that_share_errors_are_no_motion(scatter: float) -> None:
     """Three shots each from one face: their errors are common, and they scatter `scatter` times as much as declared."""
     once, _ = network(seed=21, stations=5, faces=1)

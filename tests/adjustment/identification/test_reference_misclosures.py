@@ -19,6 +19,7 @@ from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import LengthGauge, Station, Target
 from tests.adjustment.identification.test_selection import CONTROL, hall, identified
+from tests.families import family
 from tests.networks import YAWS, drawn, network
 
 POINT_SIGMA, LENGTH_SIGMA, SCALE_SIGMA, YAW_SIGMA = 0.01, 0.0018, 5.0, 2.0
@@ -98,7 +99,7 @@ def test_standard_deviation_of_a_wrong_point_combines_prediction_and_declared_va
     assert f"T12 are off by {with_sigma(test.estimate, test.sigma, 'mm')}: check them." in test.sentence
 
 
-@pytest.mark.parametrize("kind", ERRORS)
+@pytest.mark.parametrize("kind", family(list(ERRORS), 2))
 def test_misclosures_of_a_wrong_reference_value_have_their_covariance(kind: ReferenceKind) -> None:
     chi2 = []
     for trial in range(30):

@@ -182,7 +182,7 @@ CAUSES = (wrong_distance, ball_at_a_target, ball_at_a_station, scale_at_a_statio
 
 RUNGS = [
     pytest.param(badly_seated_reflector, 1e-3, id="badly_seated_reflector"),
-    pytest.param(ball_at_all_stations, 3e-3, id="ball_at_all_stations"),
+    pytest.param(ball_at_all_stations, 3e-3, id="ball_at_all_stations", marks=pytest.mark.long),
     pytest.param(scale_at_all_stations, 3e-3, id="scale_at_all_stations", marks=pytest.mark.long),
     pytest.param(exchanged_names, 0.0, id="exchanged_names", marks=pytest.mark.long),
     pytest.param(exchanged_reference_points, 0.0, id="exchanged_reference_points"),
