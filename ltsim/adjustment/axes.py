@@ -60,13 +60,13 @@ def with_axes_from_points(recording: Recording, points_by_target: Mapping[str, F
     notes = unmeasured_points_notes(
         [name for name in points_by_target if name not in recording.targets], Path(source_text).name
     )
+    points = {name: points_by_target[name] for name in common_names}
     if recording.setup.curved:
         adjustment = adjust(recording)
-        points = {name: points_by_target[name] for name in common_names}
         notes += levelled_heights_notes(adjustment, points, Path(source_text).name)
         recording = _with_plumb_lines(recording, adjustment, points)
     recording = recording.replace(notes=(*recording.notes, *notes))
-    return _with_datum_points(recording, {name: points_by_target[name] for name in common_names}, source=source_text)
+    return _with_datum_points(recording, points, source=source_text)
 
 
 def scale_error_of_declared_axes(adjustment: Adjustment) -> tuple[float, float] | None:

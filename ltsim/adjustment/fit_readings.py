@@ -72,10 +72,9 @@ class FitReadings:
         return thinned_rows, self.select_rows(thinned_rows)
 
     def residuals(self, local_points: Floats) -> tuple[Floats, Floats]:
-        """Whitened residuals (b, 3 k) of k pointings for b trial solutions.
+        """Whitened residuals (b, 3 k) of k pointings for b trial solutions, and their derivatives (b, 3 k, 3).
 
-        Derivatives (b, 3 k, 3) with respect to points.
-
+        The derivatives are those with respect to the coordinates of the points.
         `local_points` (b, k, 3) [m] are the positions of the reflectors in the instrument frame, for each trial
         solution.
         """

@@ -9,6 +9,7 @@ import numpy as np
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.rows import ControlRows
 from ltsim.core.arrays import Floats, Ints
+from ltsim.core.units import MILLIMETRE
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.references import MIN_UNKNOWN_SCALE_SIGMA_PPM
@@ -171,6 +172,16 @@ def drop_reference(recording: Recording, reference_value: ReferenceValue) -> Rec
 
 REFERENCE_COORDINATE_KEYS = ("known_mm", "known_sigma_mm", "known_covariance_mm2", "known_axes")
 """Keys of a target's reference coordinates in `setup.toml`."""
+
+
+def full_reference_coordinates(recording: Recording) -> dict[int, Floats]:
+    """Reference coordinates (3,) [m] by target index, of the targets whose three coordinates are all declared."""
+    setups = map(recording.target_setup, recording.targets)
+    return {
+        i: MILLIMETRE * np.array(target.known_mm, dtype=np.float64)
+        for i, target in enumerate(setups)
+        if target.known_mm is not None and target.known_axes == "xyz"
+    }
 
 
 def without_reference_coordinates(recording: Recording) -> Recording:

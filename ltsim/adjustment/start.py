@@ -43,8 +43,11 @@ def initial_network(recording: Recording) -> tuple[tuple[Floats, Floats, Floats]
         raise NetworkError(f"{message}; measure azimuths or distances too")
     frame = DeclaredFrame.from_recording(recording)
     grown: list[NetworkInitialiser] = []
-    for source in (recording, with_ranges_of_opposite_sights(recording, frame.marks)):
-        if grown and (source is recording or grown[-1].is_complete):
+    for uses_opposite_sights in (False, True):
+        if grown and grown[-1].is_complete:
+            break
+        source = with_ranges_of_opposite_sights(recording, frame.marks) if uses_opposite_sights else recording
+        if uses_opposite_sights and source is recording:
             break
         pairs = StationTargetPairs.from_recording(source, points_with_slope_distances(source))
         for method in INITIALISATION_METHODS if frame.has_declared_positions else INITIALISATION_METHODS[1:]:

@@ -215,11 +215,6 @@ def _extended_campaign(
     Existing cells (combinations of factor levels) keep their numbers. InputError is raised if the file would change
     existing rows.
     """
-    if not all(old.digest for old in manifest.cells):
-        raise InputError(
-            f"{store.folder}: the campaign was started by an earlier version of ltsim; start again with another "
-            f"{option_text('out')}, or with {option_text('force=True')}"
-        )
     before, ordered, remaining = manifest.settings, list[CampaignCell](), list(cells)
     for old in manifest.cells:
         same = next((cell for cell in remaining if cell.digest == old.digest), None)

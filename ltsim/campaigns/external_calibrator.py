@@ -126,7 +126,9 @@ def _read_estimates(file: Path) -> dict[str, list[object]]:
         content = read_json(file, "list of parameters")
         return {e["name"]: [e["value"], e.get("sigma"), e["unit"]] for e in content["parameters"]}
     except RecordError as problem:
-        raise RecordError(str(problem).replace(f"{file}: the file", f"the file at {OUTPUT_PLACEHOLDER}", 1)) from None
+        place = f"the file at {OUTPUT_PLACEHOLDER}"  # the true path is that of a temporary folder
+        text = str(problem).replace(f"{file}: the file", place, 1)
+        raise RecordError(text.replace(str(file), place)) from None
     except KeyError as problem:
         raise RecordError(f"{problem} is missing; expected parameters with name, value and unit") from None
     except (OSError, TypeError, AttributeError):

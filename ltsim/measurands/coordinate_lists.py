@@ -66,10 +66,9 @@ def _with_axes(epoch: EpochCoordinates, axes: str) -> EpochCoordinates:
         return epoch
     columns = [epoch.axes.index(axis) for axis in axes]
     rows = np.arange(len(epoch.covariance)).reshape(-1, len(epoch.axes))[:, columns].ravel()
-    other_indices = [i for i in range(epoch.points.shape[1]) if i not in ["xyz".index(axis) for axis in axes]]
-    points = epoch.points.copy()
-    points[:, other_indices] = 0.0
-    return replace(epoch, axes=axes, points=points, covariance=epoch.covariance[np.ix_(rows, rows)])
+    reduced = replace(epoch, axes=axes, covariance=epoch.covariance[np.ix_(rows, rows)])
+    is_compared = np.isin(np.arange(epoch.points.shape[1]), reduced.axis_indices)
+    return replace(reduced, points=np.where(is_compared, epoch.points, 0.0))
 
 
 def _with_names_spelled_as(epoch: EpochCoordinates, names: Sequence[str]) -> tuple[EpochCoordinates, list[str]]:

@@ -18,7 +18,7 @@ from ltsim.core.arrays import Bools, Floats, Ints, batches
 
 def log_evidence_gain(chi2_drop: float, rank: int) -> float:
     """Gain of log evidence, without prior, by a shift of `rank` components that decreases chi-square."""
-    return 0.5 * chi2_drop + float(log_occam_factor_of_shift(np.sqrt(chi2_drop), rank)) if rank else -np.inf
+    return float(log_evidence_gains(np.array([chi2_drop]), np.array([rank]))[0])
 
 
 def log_evidence_gains(chi2_drops: Floats, ranks: Ints) -> Floats:
@@ -31,6 +31,20 @@ def log_evidence_gains(chi2_drops: Floats, ranks: Ints) -> Floats:
         drops = chi2_drops[ranks == rank]
         gains[ranks == rank] = 0.5 * drops + log_occam_factor_of_shift(np.sqrt(drops), rank)
     return gains
+
+
+def log_evidence_gains_of_scores(grams: Floats, scores: Floats, min_eigenvalue: float) -> Floats:
+    """Gains (h,) of log evidence, without priors, by h shifts of q components.
+
+    `grams` (h, q, q) are the Gram matrices of the projected design columns with unit length, `scores` (h, q) their
+    products with the whitened residuals. Combinations of components with an eigenvalue below `min_eigenvalue` do not
+    count, because the readings do not determine them.
+    """
+    strength, turn = np.linalg.eigh(grams)
+    along = np.einsum("hij,hi->hj", turn, scores)
+    visible = strength > min_eigenvalue
+    drop = np.sum(np.where(visible, along**2 / np.where(visible, strength, 1.0), 0.0), axis=1)
+    return log_evidence_gains(drop, visible.sum(axis=1))
 
 
 def weighted_family_designs(candidates: Sequence[ShiftCandidate], reading_mask: Bools, sigmas: Floats) -> list[Floats]:
@@ -68,9 +82,6 @@ def approximate_log_evidence_gains(space: ResidualSpace, candidates: Sequence[Sh
             every = np.concatenate(rows)
             gram, score = np.add.reduceat(grams[every], starts), np.add.reduceat(scores[every], starts)
             scale = np.sqrt(np.maximum(np.einsum("hii->hi", gram), 1e-300))
-            strength, turn = np.linalg.eigh(gram / (scale[:, :, None] * scale[:, None, :]))
-            visible = strength > 1e-3
-            along = np.einsum("hij,hi->hj", turn, score / scale)
-            drop = np.sum(np.where(visible, along**2 / np.where(visible, strength, 1.0), 0.0), axis=1)
-            gains[batch] = log_evidence_gains(drop, visible.sum(axis=1)) + candidates[batch[0]].log_prior
+            unit_gram = gram / (scale[:, :, None] * scale[:, None, :])
+            gains[batch] = log_evidence_gains_of_scores(unit_gram, score / scale, 1e-3) + candidates[batch[0]].log_prior
     return gains

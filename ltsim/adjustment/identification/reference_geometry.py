@@ -6,6 +6,7 @@ are as large as the network, so that no adjustment with them converges or reject
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
@@ -13,7 +14,7 @@ import numpy as np
 from ltsim.adjustment.identification.evidence import log_prior_of_kind
 from ltsim.adjustment.identification.hypothesis import CauseHypothesis, CoordinateExchange, ReadingShiftChange
 from ltsim.adjustment.identification.reading_shifts import ReadingShift
-from ltsim.adjustment.reference_values import without_reference_coordinates
+from ltsim.adjustment.reference_values import full_reference_coordinates, without_reference_coordinates
 from ltsim.adjustment.significance import MAX_TRACKER_ERROR, MIN_FAULTY_FRACTION_OF_GROUP
 from ltsim.adjustment.start import initial_network
 from ltsim.core.arrays import Bools, Floats
@@ -57,7 +58,7 @@ def reference_point_exchanges(recording: Recording) -> list[CauseHypothesis]:
             return []
         pair = _exchanged_reference_points(here, there)
         exchanged = None if pair is None else (names[pair[0]], names[pair[1]])
-        exchanged = exchanged or _exchanged_with_other_target(recording, points)
+        exchanged = exchanged or _exchanged_with_other_target(recording.targets, points, names, here, there)
     except NetworkError:
         return []
     if exchanged is None:
@@ -80,17 +81,10 @@ def _reference_points(recording: Recording, points: Floats) -> tuple[list[str], 
 
     `points` (T, 3) [m] are the positions of all targets in any frame.
     """
-    setup_by_name = {name: recording.target_setup(name) for name in recording.targets}
-    names = [
-        name
-        for name, target in setup_by_name.items()
-        if target.known_mm is not None
-        and target.known_axes == "xyz"
-        and np.isfinite(points[recording.targets.index(name)]).all()
-    ]
-    here = points[[recording.targets.index(name) for name in names]]
-    there = np.array([setup_by_name[name].known_mm for name in names], dtype=np.float64).reshape(-1, 3) * MILLIMETRE
-    return names, here, there
+    coordinates = full_reference_coordinates(recording)
+    indices = [i for i in coordinates if np.isfinite(points[i]).all()]
+    there = np.array([coordinates[i] for i in indices], dtype=np.float64).reshape(-1, 3)
+    return [recording.targets[i] for i in indices], points[indices], there
 
 
 def _exchanged_reference_points(points: Floats, reference_points: Floats) -> tuple[int, int] | None:
@@ -106,21 +100,26 @@ def _exchanged_reference_points(points: Floats, reference_points: Floats) -> tup
     return pairs[best] if swapped[best] < MAX_EXCHANGE_MISCLOSURE_RATIO * min(rivals) else None
 
 
-def _exchanged_with_other_target(recording: Recording, points: Floats) -> tuple[str, str] | None:
+def _exchanged_with_other_target(
+    target_names: Sequence[str], points: Floats, names: Sequence[str], network_points: Floats, reference_points: Floats
+) -> tuple[str, str] | None:
     """Names of a reference point and of the target without reference coordinates at its declared place, or None.
 
-    The other reference points define the frame. `points` (T, 3) [m] are the positions of all targets in any frame.
+    The other reference points define the frame. `points` (T, 3) [m] are the positions of all targets in any frame,
+    `network_points` (k, 3) [m] those of the k reference points `names`, and `reference_points` (k, 3) [m] the declared
+    coordinates.
     """
-    names, here, there = _reference_points(recording, points)
     best: tuple[float, tuple[str, str]] | None = None
     for k, name in enumerate(names):
         others = np.arange(len(names)) != k
-        rotation, translation = align_rigidly(here[others], there[others])
-        gaps = np.linalg.norm(points @ rotation.T + translation - there[k], axis=1)
+        rotation, translation = align_rigidly(network_points[others], reference_points[others])
+        gaps = np.linalg.norm(points @ rotation.T + translation - reference_points[k], axis=1)
         gaps = np.where(np.isfinite(gaps), gaps, np.inf)
-        distances_of_others = np.linalg.norm(here[others] @ rotation.T + translation - there[others], axis=1)
+        distances_of_others = np.linalg.norm(
+            network_points[others] @ rotation.T + translation - reference_points[others], axis=1
+        )
         misclosure = max(float(np.min(gaps)), float(distances_of_others.max()))
-        nearest, second_smallest = recording.targets[int(np.argmin(gaps))], float(np.partition(gaps, 1)[1])
+        nearest, second_smallest = target_names[int(np.argmin(gaps))], float(np.partition(gaps, 1)[1])
         is_at_place = misclosure < min(MAX_TRACKER_ERROR, MAX_EXCHANGE_MISCLOSURE_RATIO * second_smallest)
         if nearest not in names and is_at_place and (best is None or misclosure < best[0]):
             best = misclosure, (name, nearest)
@@ -170,12 +169,7 @@ def _length_ratios(recording: Recording) -> tuple[Floats, Bools]:
 
     The declared lengths are the reference lengths, and the lengths between reference points with three coordinates.
     """
-    setup_by_index = {i: recording.target_setup(name) for i, name in enumerate(recording.targets)}
-    place_by_index = {
-        i: MILLIMETRE * np.array(target.known_mm, dtype=np.float64)
-        for i, target in setup_by_index.items()
-        if target.known_mm is not None and target.known_axes == "xyz"
-    }
+    place_by_index = full_reference_coordinates(recording)
     length_by_ends = {
         (i, j): float(np.linalg.norm(place_by_index[i] - place_by_index[j]))
         for i, j in combinations(list(place_by_index)[:MAX_COMPARED_TARGETS], 2)
@@ -185,9 +179,11 @@ def _length_ratios(recording: Recording) -> tuple[Floats, Bools]:
         i, j = (recording.targets.index(name) for name in (distance.from_, distance.to))
         length_by_ends[i, j] = distance.length_mm * MILLIMETRE
         reference_lengths.add((i, j))
+    if not length_by_ends:
+        return np.zeros(0), np.zeros(0, dtype=bool)
     ratios_by_ends: dict[tuple[int, int], list[float]] = {}
     clouds = target_points_by_station(from_polar(recording.readings), recording.station, recording.target)
-    for cloud in clouds.values() if length_by_ends else ():
+    for cloud in clouds.values():
         point_by_target = dict(zip(cloud.targets.tolist(), cloud.points, strict=True))
         for (i, j), length in length_by_ends.items():
             if length > MIN_COMPARED_LENGTH and i in point_by_target and j in point_by_target:

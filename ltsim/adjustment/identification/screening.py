@@ -18,7 +18,7 @@ from ltsim.adjustment.fitting import fit_point
 from ltsim.adjustment.identification.approximate_gains import (
     approximate_log_evidence_gains,
     log_evidence_gain,
-    log_evidence_gains,
+    log_evidence_gains_of_scores,
     weighted_family_designs,
 )
 from ltsim.adjustment.identification.centring_errors import centring_hypotheses, local_centring_hypotheses
@@ -148,11 +148,8 @@ def _projected_log_evidence_gains(residual_space: ResidualSpace, candidates: Seq
             unit = projected / np.where(size > 0, size, 1.0)
             gram = np.einsum("mhi,mhj->hij", unit, unit)
             score = np.einsum("mhi,m->hi", unit, residual_space.whitened_residuals)
-            strength, turn = np.linalg.eigh(gram)
-            along = np.einsum("hij,hi->hj", turn, score)
-            visible = strength > NORMAL_EQUATIONS_TOLERANCE
-            drop = np.sum(np.where(visible, along**2 / np.where(visible, strength, 1.0), 0.0), axis=1)
-            gains[batch] = log_evidence_gains(drop, visible.sum(axis=1)) + [candidates[i].log_prior for i in batch]
+            gain = log_evidence_gains_of_scores(gram, score, NORMAL_EQUATIONS_TOLERANCE)
+            gains[batch] = gain + [candidates[i].log_prior for i in batch]
     return gains
 
 
