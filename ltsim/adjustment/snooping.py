@@ -267,7 +267,7 @@ def snoop_readings(
         )
         solution = solve(reduced_problem, state, max_iterations=MAX_STEPS_PER_SNOOPING_PASS)
         tried_sets.add(rejected.tobytes())
-        if solution.factor is None:  # too many readings are rejected: the others do not determine the network
+        if not _is_determined(reduced_problem, solution):  # too many readings are rejected
             if not rejected.any():
                 return reduced_problem, solution
             whole = rejected | (
@@ -292,12 +292,16 @@ def snoop_readings(
                 replace(problem, is_used_reading=problem.is_used_reading & ~(new | rejected)), state
             )
             ended = solve(last, state)
-            return (reduced_problem, solve(reduced_problem, state)) if ended.factor is None else (last, ended)
+            return (last, ended) if _is_determined(last, ended) else (reduced_problem, solve(reduced_problem, state))
         rejected = new
         held = np.bincount(target, (problem.is_used_reading & ~rejected).any(axis=1), len(placed)) > 0
-        state = replace(
-            state, target_points=np.where(held[:, None], state.target_points, placed)
-        )  # target without used readings: at its robust position
+        # A target without used readings is at its robust position.
+        state = replace(state, target_points=np.where(held[:, None], state.target_points, placed))
+
+
+def _is_determined(problem: NetworkProblem, solution: Solution[NetworkState]) -> bool:
+    """True if a problem has used readings, and these determine its unknowns."""
+    return solution.factor is not None and bool(problem.is_used_reading.any())
 
 
 def _is_newly_rejected(problem: NetworkProblem, state: NetworkState, limit: float) -> Bools:
@@ -378,16 +382,12 @@ def _is_rejected_in_repeated_test(
         new &= w > 0.5 * w.max()
     if prediction is not None:
         spread = prediction_error_sigmas(problem, solution, out, prediction)
-        still, alone = (
-            np.zeros_like(is_rejected),
-            np.zeros(len(reduced_problem.undetermined_unknowns.is_unmeasured_target), dtype=bool),
-        )
-        lost = np.zeros(len(problem.model.recording.stations), dtype=bool)
+        still, lost = np.zeros_like(is_rejected), np.zeros(len(problem.model.recording.stations), dtype=bool)
+        alone = np.zeros_like(reduced_problem.undetermined_unknowns.is_unmeasured_target)
         still[out] = _absolute_residuals_of_prediction(problem, readings)[out] / spread > limit * scale
         unpredicted = np.argwhere(out)[spread > MAX_SIGMA_OF_PREDICTED_READING, 0]
-        is_open = _is_mostly_rejected_setup(out, problem)[
-            stations[unpredicted]
-        ]  # the used readings of such a set-up do not determine its pose
+        # The used readings of a mostly rejected set-up do not determine its pose.
+        is_open = _is_mostly_rejected_setup(out, problem)[stations[unpredicted]]
         alone[targets[unpredicted[~is_open]]] = True
         lost[stations[unpredicted[is_open]]] = True
         # Readings to a target remain rejected if the used readings do not determine it, or hardly determine it.

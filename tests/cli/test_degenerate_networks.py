@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 import ltsim as lt
+from ltsim.adjustment.identification import identify_causes
 from ltsim.cli.main import run
 from ltsim.core.errors import LtsimError
 from ltsim.core.randomness import random_stream
@@ -272,6 +273,11 @@ def faults(first: int, count: int) -> list[str]:
             continue  # the set-up does not fit the network
         problems += [f"network {seed} ({ways}): {problem}" for words in VERBS if (problem := fault(words))]
     return problems
+
+
+def test_readings_that_all_contradict_each_other_are_not_all_rejected() -> None:
+    """No network, in place of a network without readings, whose noise would be a mean of no values."""
+    assert identify_causes(network(46200)[1]) is None
 
 
 @pytest.mark.long
