@@ -41,25 +41,49 @@ def sensitivity(predictor: DisagreementPredictor, ranges: Ranges, samples: int, 
         return np.stack([getattr(expected, attribute) for attribute in OUTPUTS.values()])
 
     dists = [stats.uniform(loc=low, scale=high - low) for low, high in logs]
-    indices = stats.sobol_indices(func=criteria, n=samples, dists=dists, random_state=random_stream(seed, "sobol"))
+    evaluations: dict[str, Floats] = {}
+
+    def indices_of(f_A: np.ndarray, f_B: np.ndarray, f_AB: np.ndarray) -> tuple[np.ndarray, np.ndarray]:  # noqa: N803
+        evaluations.update(f_A=f_A, f_B=f_B, f_AB=f_AB)
+        first, total = sobol_indices(f_A, f_B, f_AB)
+        return first, total
+
+    stats.sobol_indices(
+        func=criteria, n=samples, dists=dists, method=indices_of, random_state=random_stream(seed, "sobol")
+    )
+    indices = sobol_indices(**evaluations)
     # If an input does not affect an output, the bootstrap distribution is degenerate; the interval is then the index.
     with np.errstate(invalid="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", stats.DegenerateDataWarning)
-        spread = indices.bootstrap(0.95)
+        ends = stats.bootstrap(
+            [np.arange(samples)],
+            lambda trials: sobol_indices(**{name: values[..., trials] for name, values in evaluations.items()}),
+            n_resamples=999,
+            rng=random_stream(seed, "bootstrap"),
+        ).confidence_interval
     columns = {}
-    for name, index, interval in (
-        ("first", indices.first_order, spread.first_order), ("total", indices.total_order, spread.total_order),
-    ):  # fmt: skip
-        ends = interval.confidence_interval
-        columns |= {name: index, f"{name}_low": ends.low, f"{name}_high": ends.high}
-        columns |= {
-            k: np.where(np.isfinite(values), values, index) for k, values in columns.items() if k.startswith(name)
-        }
+    for k, name in enumerate(("first", "total")):
+        columns[name] = indices[k]
+        for end, values in (("low", ends.low), ("high", ends.high)):
+            columns[f"{name}_{end}"] = np.where(np.isfinite(values[k]), values[k], indices[k])
     return [
         {"output": output, "input": name} | {key: float(values[i, j]) for key, values in columns.items()}
         for i, output in enumerate(OUTPUTS)
         for j, name in enumerate(names)
     ]
+
+
+def sobol_indices(f_A: Floats, f_B: Floats, f_AB: Floats) -> Floats:  # noqa: N803 (names of scipy)
+    """First-order and total indices (2, s, d) of s outputs for d inputs, by equations (b) and (f) of Saltelli et al.
+
+    `f_A`, `f_B` (s, n) are the outputs, minus their means, for two samples of n inputs; `f_AB` (d, s, n) those for the
+    first sample with one input from the second. An output without variance has indices 0.
+    """
+    variance = np.var(np.concatenate([f_A, f_B], axis=-1), axis=-1)
+    covariance = np.mean(f_B * (f_AB - f_A), axis=-1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        indices = np.stack([covariance, 0.5 * np.mean((f_A - f_AB) ** 2, axis=-1)]) / variance
+    return np.nan_to_num(np.swapaxes(indices, -1, -2), posinf=0.0, neginf=0.0)
 
 
 def effects_of(names: Sequence[str], stations: Sequence[str]) -> list[Effect]:
