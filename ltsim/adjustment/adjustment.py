@@ -39,8 +39,8 @@ from ltsim.solve.elimination import FactorisedNormals, SingularSystemError
 from ltsim.solve.gauss_newton import Solution, solution_for_plan, solve
 
 MAX_SUCCESSIVELY_TESTED_READINGS = 300
-"""Largest number of suspected readings at which outliers are removed one after another. If more readings are suspected,
-each is tested as if it were the only outlier."""
+"""Largest number of suspected readings that are removed one after another. If more readings are suspected, each is
+tested as if it were the only outlier."""
 
 
 @dataclass(frozen=True)

@@ -30,15 +30,14 @@ from ltsim.geometry.rigid import MIN_POINTS_FOR_POSE, align_rigidly
 from ltsim.recordings.transcription_errors import DEGREES_FOR_GON, UNIT_AND_CONVENTION_ERRORS
 
 MAX_CONSISTENT_SIGMA0 = 100.0
-"""Largest sigma0 at which the observations count as consistent. Above this limit other units of the readings are tried,
-and a warning states that standard deviations are not valid."""
+"""Largest sigma0 of consistent observations. If sigma0 is larger, other units of the readings are tried, and a warning
+states that standard deviations are not valid."""
 MIN_COS_MEDIAN_TILT = 0.9
-"""Smallest cosine of the median tilt of the stations, at which their positions are compared with the floor plan."""
+"""Limit of the cosine of the median tilt of the stations. If the cosine is larger, the positions of the stations are
+compared with the floor plan."""
 MAX_POSE_CURVATURE = 0.3
-"""Largest nonlinearity of the readings over one standard deviation of a pose (curvature of Bates and Watts, in standard
-deviations of a reading) at which the standard deviations of the pose are valid. Above this limit the standard
-deviations are reported as too small.
-"""
+"""Limit of the nonlinearity of the readings over one standard deviation of a pose (curvature of Bates and Watts, in
+standard deviations of a reading). If it is exceeded, the standard deviations of the pose are reported as too small."""
 TESTED_UNIT_ERRORS = (
     *(slip for slip in UNIT_AND_CONVENTION_ERRORS if slip.name in ("gon", "metre", "inch", "clockwise", "zenith")),
     DEGREES_FOR_GON,

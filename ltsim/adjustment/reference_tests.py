@@ -46,9 +46,10 @@ TESTED_KINDS_EXCEPT_SCALE: tuple[ReferenceKind, ...] = TESTED_REFERENCE_KINDS[:-
 """Kinds of reference values that may be excluded if reference lengths are to determine the scale of the network. A
 common scale error of the lengths is then only reported."""
 MIN_TESTED_REDUNDANCY = 1e-3
-"""Redundancy number of a component of a reference value, above which the other observations are able to test it."""
+"""Smallest redundancy number of a component of a reference value that the other observations are able to test."""
 MAX_HORIZONTAL_TO_VERTICAL_RATIO = 0.01
-"""Largest ratio of horizontal to vertical error of a point, at which the error counts as a height error."""
+"""Limit of the horizontal error of a point, divided by its vertical error. If the ratio is smaller, the error is
+reported as an error of height."""
 
 
 @dataclass(frozen=True)

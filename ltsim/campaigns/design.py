@@ -32,7 +32,7 @@ RESERVED_COLUMN_NAMES = frozenset(
 )  # fmt: skip
 """Names of the columns that the rows of every campaign have; no factor may have such a name."""
 N_DESIGN_POINT_DIGITS = 4
-"""Number of significant digits to which values at design points are rounded, for readability; the points remain
+"""Number of significant digits of rounded values at design points. The rounding makes them readable; the points remain
 distinct."""
 MAX_DESIGN_KEYS = 64
 """Largest number of scenario keys that a design varies, each over a range of values."""

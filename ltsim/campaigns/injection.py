@@ -36,8 +36,8 @@ MAX_EFFECT_DRAWS = 25
 """Largest number of attempts to draw the unspecified values of an effect. If no attempt changes the residuals, an error
 is raised."""
 MIN_LOCATION_OVERLAP = 0.5
-"""Smallest overlap at which a reported group of stations or targets counts as the group of the injected effect. The
-overlap is the number of members in both groups divided by the number in at least one (Jaccard index)."""
+"""Smallest overlap of a reported group of stations or targets with the group of the injected effect, for a correct
+location. The overlap is the number of members in both groups divided by the number in at least one (Jaccard index)."""
 
 
 def inject(

@@ -57,8 +57,8 @@ from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.verbs import ScenarioSource, scenario as scenario_of, simulate
 
 MAX_EARLY_FAILURES = 3
-"""Number of failed trials of an external calibrator after which a run ends, because a command that does not work fails
-in every trial. One failed trial is enough for the convergence check to fail."""
+"""Number of failed trials of an external calibrator that ends a run, because a command that does not work fails in
+every trial. One failed trial is enough for the convergence check to fail."""
 MAX_LISTED_PARAMETERS = 3
 """Largest number of parameters that a sentence lists; tables and files contain all parameters."""
 

@@ -208,7 +208,7 @@ def _sorted_factor_levels(levels: Iterable[Any]) -> list[Any]:
 
 
 MAX_FACTOR_LEVEL_ROUNDING_ERROR = 5e-4
-"""Largest relative difference between a factor level and the number by which a user requests it, so that a number with
+"""Largest relative difference between a factor level and a number in a user's request for this level. A request with
 three digits is sufficient."""
 CellAndMethod = tuple[int, str]
 """Index of a cell (combination of factor levels), from 0, and name of a calibration method."""

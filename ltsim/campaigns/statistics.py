@@ -56,8 +56,8 @@ DATABASE_SETTINGS: dict[str, Any] = {
 }
 """Settings of the database DuckDB; no query or file can make it download or load an extension."""
 MAX_ROWS_FOR_EXACT_QUANTILES = 50_000_000
-"""Largest number of rows for which quantiles are exact. They need all values of a column in memory; for more rows they
-are approximated (t-digest)."""
+"""Largest number of rows with exact quantiles. They need all values of a column in memory; for more rows they are
+approximated (t-digest)."""
 
 MAX_Z_SCORE_BLOCK_CELLS = 256
 """Largest number of cells (combinations of factor levels) whose z-scores are summarised together; a summary of one

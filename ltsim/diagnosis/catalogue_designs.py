@@ -37,7 +37,7 @@ from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
 MAX_NONZERO_ROW_FRACTION_OF_SPARSE_DESIGN = 0.15
-"""Fraction of nonzero rows below which a design matrix is stored as sparse; it affects only the computing time."""
+"""Largest fraction of nonzero rows of a design matrix that is stored as sparse, to save computing time."""
 MAX_LOCAL_OPTIMA_PER_CATALOGUE_EFFECT = 3
 """Largest number of local optima of a catalogue effect, over stations, targets and shape parameters, that are
 evaluated."""

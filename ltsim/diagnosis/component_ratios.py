@@ -16,8 +16,8 @@ from ltsim.diagnosis.evidence import coefficient_posterior, log_evidence_of_coef
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 LAW_COMPONENT_RATIO_DECIMALS = 4
-"""Number of decimals to which the ratio (unit vector) of the components of an empirical law (error as a function of
-covariates) is rounded. The law is then equal to the law that is read from its text form."""
+"""Number of decimals of the rounded ratio (unit vector) of the components of an empirical law (error as a function of
+covariates). The law is then equal to the law that is read from its text form."""
 
 
 def best_component_ratio(

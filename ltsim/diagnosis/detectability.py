@@ -32,7 +32,7 @@ MAX_DETECTABLE_TO_PLAUSIBLE_SIZE_RATIO = 10.0
 """Limit of the ratio of the smallest detectable size of an effect to its plausible size. An effect with a smaller ratio
 is reported as detectable, any other as not detectable."""
 TARGET_DISTORTION_UM_DECIMALS = 6
-"""Number of decimals to which a distortion of the targets [um] is rounded."""
+"""Number of decimals of a rounded distortion of the targets [um]."""
 DetectabilityReport = tuple[tuple[MinimalDetectableSize, ...], tuple[UndetectableEntry, ...]]
 """Smallest detectable sizes of the detectable effects, and entries of the effects that are not detectable."""
 

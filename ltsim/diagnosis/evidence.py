@@ -267,16 +267,16 @@ def _scaled_eigen_decomposition(gram: Floats, plausible_sizes: Floats) -> tuple[
 
 
 MAX_AVERAGED_HYPOTHESES = 12
-"""Number of the most probable hypotheses over which an estimate is averaged; it limits the computing time."""
+"""Number of hypotheses in the average of an estimate: the most probable ones. It limits the computing time."""
 N_EXACTLY_EVALUATED_HYPOTHESES = 7
 """Number of hypotheses of each kind (catalogue effects, hypotheses of other noise than declared, and empirical laws,
 which describe errors as functions of covariates) whose evidence is computed without approximation, to limit the
 computing time. They are those with the largest approximate log evidence. The approximate evaluation returns the same
 number of laws for each combination of stations and targets."""
 MAX_LOG_EVIDENCE_DEFICIT_FOR_EXACT_EVALUATION = 10.0
-"""Largest difference of the approximate log evidence of a hypothesis from the largest one, at which its evidence is
-computed without approximation. The hypothesis is a local optimum of a catalogue effect (over stations, targets and
-shape parameters), or a product of an empirical law (error as a function of covariates) and a second factor."""
+"""Largest deficit of a hypothesis in approximate log evidence, relative to the best one, for an exact evaluation. It
+applies to local optima of a catalogue effect (over stations, targets and shape parameters), and to products of an
+empirical law (error as a function of covariates) and a second factor."""
 WIDE_PRIOR_SIGMA_FACTOR = 30.0
 """Prior standard deviation of reported sizes, divided by their plausible sizes. Such a wide prior hardly shrinks the
 estimates, but keeps undetermined combinations finite."""

@@ -48,17 +48,17 @@ from ltsim.physics.laws.regressors import CLOCK_COVARIATES, Regressor
 from ltsim.physics.laws.responses import Response, response_designs
 
 MAX_SEPARATE_SETUPS_OR_TARGETS = 400
-"""Largest number of set-ups (or targets) with which empirical laws (errors as functions of covariates) at single
-set-ups (or targets) are tried. The limit keeps the computing time short."""
+"""Largest number of set-ups (or targets) in a recording for which empirical laws (errors as functions of covariates) at
+each single set-up (or target) are tried. The limit keeps the computing time short."""
 TARGET_COUNTS_FOR_GROUP_LAWS = range(12, 101)
-"""Numbers of targets in a network with which empirical laws (errors as functions of covariates) at a group of targets
-are tried. Fewer targets hardly form a group, and more targets take too much computing time."""
+"""Numbers of targets (smallest and largest) in networks for which empirical laws (errors as functions of covariates) at
+groups of targets are tried. Fewer targets hardly form a group, and more targets take too much computing time."""
 MIN_POINTINGS_PER_COEFFICIENT_OF_FINE_CURVE = 4
-"""Number of pointings of a set-up per coefficient, above which a curve of one set-up has `N_CURVE_MODES` basis
-functions (eigenfunctions of the Laplacian). With fewer pointings it has `N_PRODUCT_CURVE_MODES`."""
+"""Limit of the number of pointings per coefficient in a curve of one set-up. Above it the curve has `N_CURVE_MODES`
+basis functions (eigenfunctions of the Laplacian), below it `N_PRODUCT_CURVE_MODES`."""
 MIN_POINTINGS_PER_COEFFICIENT = 2
-"""Smallest number of pointings per coefficient, at the stations and targets of an empirical law (error as a function of
-covariates), for which the law is tried. The adjustment absorbs about half of the information of the pointings."""
+"""Smallest number of pointings per coefficient of an empirical law (error as a function of covariates), counted at its
+stations and targets. The adjustment absorbs about half of the information of the pointings."""
 PER_SETUP_REGRESSOR_KINDS = ("constant", "sign", "curve", "decay", "memory", "lag", "state", "latch")
 """Kinds of regressors (functions of covariates) that are tried for an empirical law of one instrument or one set-up."""
 REGION_REGRESSOR_KINDS = ("passage", "lever", "passage for a time", "lever for a time", "near")

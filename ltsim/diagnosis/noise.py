@@ -53,10 +53,10 @@ from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
 MIN_LOG_EVIDENCE_FRACTION_FOR_NOISE_AT_PLACES = 0.2
-"""Fraction of the largest log evidence of another noise, above which larger noise in intervals of time is also tried at
-single stations, groups of targets and regions of the hall."""
+"""Limit of the log evidence of larger noise in intervals of time, divided by the largest log evidence of another noise.
+Above it, such noise is also tried at single stations, groups of targets and regions of the hall."""
 N_FINE_GRID_NOISE_SIZES = 48
-"""Number of sizes of the changed noise on the fine grid over which the evidence of the best hypotheses is averaged."""
+"""Number of sizes of the changed noise on the fine grid, for the average of the evidence of the best hypotheses."""
 
 
 def noise_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> list[NoiseHypothesis]:

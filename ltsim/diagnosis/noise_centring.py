@@ -27,8 +27,8 @@ from ltsim.recordings.occupations import days_of_pointings, target_occupations
 from ltsim.recordings.recording import Recording
 
 MAX_CENTRING_OCCUPATIONS = 200
-"""Largest number of occupations (placements of a reflector) with which centring errors are a hypothesis, to limit the
-computing time. 200 occupations have 600 columns in the design matrix."""
+"""Largest number of occupations (placements of a reflector) in a recording for which centring errors are a hypothesis,
+to limit the computing time. 200 occupations have 600 columns in the design matrix."""
 
 
 def log_evidence_and_centring_hypotheses(space: ResidualSpace) -> list[tuple[float, NoiseHypothesis]]:

@@ -30,9 +30,9 @@ from ltsim.physics.effects.linear_effect import CandidateNoiseEffect
 from ltsim.physics.laws.variance import CentringVariance
 
 N_VARIANCE_GRID_VALUES = 7
-"""Number of points of each grid on which the posterior distribution of a variance parameter is summed."""
+"""Number of points of each grid for the sum over the posterior distribution of a variance parameter."""
 N_VARIANCE_GRID_ZOOMS = 9
-"""Number of successively narrower grids on which the posterior distribution of a variance parameter is summed. The sum
+"""Number of successively narrower grids for the sum over the posterior distribution of a variance parameter. The sum
 over a normal density is accurate for spacings of up to 1.5 standard deviations."""
 
 

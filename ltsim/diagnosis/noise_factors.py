@@ -14,8 +14,9 @@ import scipy.sparse as sp
 from ltsim.core.arrays import Floats, Floats32, Ints, batches, stack_and_release
 
 MIN_NONZERO_FRACTION_OF_DENSE_PATTERN = 0.5
-"""Fraction of nonzero elements above which a pattern (added variance of each reading per unit of a size) is stored as a
-dense row, which limits the memory. The fraction refers to the kinds of observations that the pattern changes."""
+"""Limit of the fraction of nonzero elements of a pattern (added variance of each reading per unit of a size). Above it,
+the pattern is stored as a dense row; below it as sparse, which saves memory. The fraction refers to the kinds of
+observations that the pattern changes."""
 
 
 @dataclass(frozen=True)

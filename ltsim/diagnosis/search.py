@@ -50,9 +50,9 @@ from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.sizes import displayed_sizes
 
 MAX_COEFFICIENTS_OF_SIMPLE_EFFECT = 10
-"""Number of coefficients above which an effect may imitate several effects. If the selected model has such an effect, a
-second search for effects starts from the most probable hypothesis with fewer coefficients. A curve in one covariate has
-this number of coefficients: a slope and `N_CURVE_MODES` eigenfunctions."""
+"""Largest number of coefficients of a simple effect. An effect with more coefficients may imitate several effects; if
+the selected model has such an effect, a second search starts from the most probable simple hypothesis. A curve in one
+covariate has this number of coefficients: a slope and `N_CURVE_MODES` eigenfunctions."""
 N_EXACTLY_EVALUATED_IN_LARGE_NETWORK = 3
 """Number of catalogue effects, and of laws (functions of covariates), evaluated exactly per step in a large network."""
 MAX_RANKED_LAWS = 400

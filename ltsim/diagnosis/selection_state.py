@@ -28,7 +28,7 @@ from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
 
 N_VARIANCE_ITERATIONS = 2
-"""Number of adjustments with new weights, after which the variance components have converged."""
+"""Number of adjustments with new weights, which is sufficient for the convergence of the variance components."""
 
 
 @dataclass(frozen=True)

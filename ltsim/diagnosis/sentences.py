@@ -16,7 +16,7 @@ from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.text_form import law_suffix
 
 MIN_PROBABILITY_OF_PROBABLE_CAUSE = 0.5
-"""Smallest probability at which a cause is reported as probable: it is then more probable than not."""
+"""Smallest probability of a cause that is reported as probable: one that is more probable than not."""
 CONTRADICTED_MODEL_SENTENCE = (
     " Held-out readings are predicted worse with the effects in the model than without them. These effects are "
     "therefore improbable. Look for single wrong pointings and for repeats that share errors."

@@ -25,8 +25,8 @@ MAX_CENTRE_SIGMA_IN_STEPS = 20.0
 """Largest standard deviation of a coordinate of a region's centre, divided by `REGION_CENTRE_DIFFERENCE_STEP`. A
 coordinate that the readings do not determine gets this standard deviation."""
 N_SHAPE_GRID_POINTS = 11
-"""Number of grid points over which a shape parameter is integrated, from one step below its optimum to one step above
-(steps of the grid on which a diagnosis tries the parameter)."""
+"""Number of grid points in the integral over a shape parameter, from one step below its optimum to one step above
+(steps of the grid of values that a diagnosis tries)."""
 N_REFINEMENT_GRID_POINTS = 9
 """Number of points of each refinement of the grid of a shape parameter around its optimum. The peak of the evidence may
 be much narrower than a step."""

@@ -24,18 +24,18 @@ from ltsim.physics.laws.regressors import Regressor, scalar_regressor
 from ltsim.scene.sightings import Sightings
 
 MIN_SWITCH_EDGES_BY_REGION_DEPENDENCE = {True: 1, False: 2}
-"""Smallest number of times within set-ups at which a switched empirical law (error as a function of covariates) turns
-on or off: for a law with a region of the hall (True), and for other laws (False). A single step without a region is an
+"""Smallest number of times, within set-ups, when a switched empirical law (error as a function of covariates) turns on
+or off: for a law with a region of the hall (True), and for other laws (False). A single step without a region is an
 effect of the catalogue, or a sum of steps."""
 MIN_TARGET_SWITCH_EDGES = 3
-"""Smallest number of times at which a switched empirical law (error as a function of covariates) that acts on one
-target turns on or off. With one or two such times the law equals a catalogue effect, such as a target that moved."""
+"""Smallest number of times when a switched empirical law (error as a function of covariates) of one target turns on or
+off. With one or two such times the law equals a catalogue effect, such as a target that moved."""
 MAX_PIECES_OF_LAW = 10
 """Largest number of steps and ramps of an empirical law (error as a function of covariates), and of intervals of the
 covariate in which a law is switched on or off."""
 N_TOGGLED_INTERVALS_AFTER_MAXIMUM = 3
-"""Number of intervals of the covariate in which a stepwise search switches an error on or off after the last increase
-of the evidence, before the search stops."""
+"""Number of further intervals of the covariate that a stepwise search switches on or off after the last increase of the
+evidence, before the search stops."""
 
 MIN_SWITCHED_MEAN_SQUARE_RATIO = 1e-3
 """Smallest mean square of a function of a covariate that is switched on and off, divided by its mean square if it is

@@ -19,9 +19,10 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE, SQRT_MACHINE_EPSILON
 
 MIN_EIGENVALUE = float(np.square(NORMAL_EQUATIONS_TOLERANCE))
-"""Smallest eigenvalue of the scaled normal equations of a point at which its displacement is determined in the
-direction of the eigenvector. The normal equations are scaled by the norms of the point's columns before the elimination
-of other unknowns; the value is the square of the smallest fraction of a column that must remain."""
+"""Limit of an eigenvalue of the scaled normal equations of a point. Above it, the displacement of the point is
+determined in the direction of the eigenvector. The normal equations are scaled by the norms of the point's columns
+before the elimination of other unknowns; the limit is the square of the smallest fraction of a column that must remain.
+"""
 
 
 @dataclass(frozen=True)

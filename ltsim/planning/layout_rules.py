@@ -25,7 +25,8 @@ from ltsim.scene.visibility import narrowest_cone_axes
 MIN_VISIBLE_TARGETS_PER_STATION = 3
 """Smallest number of targets that a station must see; fewer do not determine its pose."""
 MAX_COINCIDENCE_DISTANCE = 1e-3
-"""Distance [m] below which a station and a target count as being at the same point, which a plan does not permit."""
+"""Limit of the distance [m] of a station and a target. Below it they count as the same point, which a plan does not
+permit."""
 STATION_SPACING_TOLERANCE = 1e-9
 """Amount [m] by which the distance of two stations may fall below the smallest permitted distance, because of
 rounding."""

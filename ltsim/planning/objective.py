@@ -39,8 +39,8 @@ QUALITY_PHRASES = {
 }
 """Noun phrase for each quality of a layout in sentences for users, by the name of the quality."""
 MIN_SWEEP_IMPROVEMENT = 1e-4
-"""Smallest relative improvement of the objective by a sweep (one attempt to replace each station) after which the
-search makes another sweep."""
+"""Limit of the relative improvement of the objective by a sweep (one attempt to replace each station). After a larger
+improvement the search makes another sweep."""
 
 
 def d_criterion(covariance: Floats) -> Floats:

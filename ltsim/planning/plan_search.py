@@ -44,9 +44,9 @@ SEARCH_PROGRESS_FRACTION = 0.8
 MIN_NETWORK_STATIONS = 2
 """Smallest number of stations of a network."""
 MAX_ERROR_RATIO_OF_USEFUL_STATION = 0.95
-"""Largest ratio at which an additional station counts as useful: largest error with the station divided by largest
-error without it (point errors divided by tolerances). The search ends if the last two stations together have a ratio
-above the square of this value."""
+"""Limit of the largest error with an additional station, divided by that without it (point errors divided by
+tolerances). A station with a smaller ratio counts as useful. The search ends if the last two stations together have a
+ratio above the square of the limit."""
 UNDETERMINED_LAYOUT_MESSAGE = (
     "no layout of the search determines all poses and points; let stations share more points "
     "(stations.min_stations_per_target = 2), or increase the number of stations or search.starts"

@@ -63,10 +63,9 @@ class ReflectorChangeEntry(Entry):
 
 
 MIN_REPORTED_IMPROVEMENT = 0.002
-"""Smallest relative improvement of the objective at which a move or an addition is reported as useful."""
+"""Smallest relative improvement of the objective by a move or an addition that is reported as useful."""
 MAX_NEGLIGIBLE_OBJECTIVE_CHANGE = 5e-4
-"""Largest relative change of the objective at which a sentence says that a change of a reflector makes no difference.
-"""
+"""Largest relative change of the objective by a change of a reflector that is said to make no difference."""
 MAX_REPORTED_CHANGES_PER_KIND = 3
 """Largest number of reported changes of each kind (moves, additions, removals)."""
 

@@ -40,10 +40,11 @@ from ltsim.scene.meshes import Obstacles
 from ltsim.scene.visibility import SightLimits, compute_visibility
 
 MAX_RATIO_AT_CLEARANCE = 1.05
-"""Ratio of the distance of a station from a body to the clearance, below which the clearance limits the layout."""
+"""Limit of the distance of a station from a body, divided by the clearance. A station with a smaller ratio is said to
+be limited by the clearance."""
 MAX_RATIO_AT_SPACING = 1.02
-"""Ratio of the distance of two stations to the smallest permitted distance, below which the spacing limits the layout.
-"""
+"""Limit of the distance of two stations, divided by the smallest permitted distance. Stations with a smaller ratio are
+said to be limited by the spacing."""
 
 
 @dataclass(frozen=True)

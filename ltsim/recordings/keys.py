@@ -74,7 +74,7 @@ MIN_CORRELATION_EIGENVALUE = 1e-9
 """Smallest permitted eigenvalue of the correlation matrix of a declared covariance. Below this limit the covariance
 counts as not positive definite."""
 MIN_VECTOR_LENGTH = 1e-6
-"""Length, in the unit of the vector, below which a vector has no direction and is refused."""
+"""Smallest length of an accepted vector, in its unit; a shorter vector has no direction."""
 Finite = Annotated[float, Field(ge=-1e11, le=1e11, allow_inf_nan=False)]
 """Finite number of at most 1e11 in magnitude."""
 NonNegative = Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]

@@ -43,8 +43,7 @@ from ltsim.recordings.files import read_bytes, read_text, safe_excerpt, write_te
 from ltsim.recordings.recording import Recording
 
 DIGEST_ROUNDING_STEP = 1e-6
-"""Step [m, rad] to which readings are rounded for a digest, so that a recording has the same digest after export and
-import."""
+"""Step [m, rad] of rounded readings in a digest, so that a recording has the same digest after export and import."""
 DIGEST_ROUNDING_OFFSET = 1.0 / np.pi
 """Offset, in multiples of `DIGEST_ROUNDING_STEP`, that is added before rounding; with it no decimal reading is halfway
 between two steps."""
@@ -71,7 +70,7 @@ NotNegative = Annotated[Finite, Field(ge=0)]
 Sigma = Annotated[NotNegative | None, BeforeValidator(finite_or_none)]
 """Standard deviation of at least 0; None if unknown."""
 MIN_NONZERO_MAGNITUDE = 1.0 / MAX_RESULT_MAGNITUDE
-"""Magnitude below which a number counts as zero, because the square of its reciprocal would not be finite."""
+"""Largest magnitude that counts as zero, because the square of its reciprocal would not be finite."""
 Positive = Annotated[Finite, Field(gt=0), AfterValidator(_require_not_zero)]
 """Finite number above 0, at least `MIN_NONZERO_MAGNITUDE`."""
 NonZero = Annotated[Finite, AfterValidator(_require_not_zero)]

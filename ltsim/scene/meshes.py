@@ -29,7 +29,7 @@ INSIDE_TEST_RAY_DIRECTION = np.array([0.01234567, 0.02345678, 1.0]) / np.linalg.
 """Direction of the upward rays that test whether a point is inside a body. It is slightly tilted, so that no ray runs
 along an edge of an upright box."""
 MAX_SMOOTH_SURFACE_ANGLE = np.radians(35.0)
-"""Angle [rad] between the normals of adjacent triangles below which they approximate one curved surface."""
+"""Largest angle [rad] between the normals of adjacent triangles that approximate one curved surface."""
 N_CYLINDER_SIDES = 64
 """Number of flat sides that represent a cylinder; their edges are 0.1 % of the radius outside it."""
 NEST_FOOT_RADIUS = 0.025
@@ -37,8 +37,8 @@ NEST_FOOT_RADIUS = 0.025
 MAX_NEST_UNEVENNESS = 0.002
 """Largest permitted deviation [m] of a surface from a plane under the foot of a nest."""
 MIN_NEST_NORMAL_Z = -0.5
-"""Vertical component of the unit normal of a surface up to which no nest is placed on it, because it faces down (60 deg
-or less from straight down)."""
+"""Limit of the vertical component of the unit normal of a surface. Below it the surface faces down (60 deg or less from
+straight down), and no nest is placed on it."""
 N_RANDOM_POINTS_PER_NEST_AREA = 12.0
 """Number of random points drawn on a body for each area of a nest (smallest spacing of nests, squared). If points are
 closer to each other than this spacing, only the first becomes a nest."""

@@ -21,10 +21,10 @@ MAX_SINGLE_BLOCK_COLUMNS = 240
 """Largest number of columns of a matrix that is treated as one block, because an ordering would cost more than it
 saves."""
 MIN_BORDER_TO_MEDIAN_COLUMN_ENTRIES = 2.0
-"""Number of non-zero entries of a column, divided by the median over all columns, above which the column belongs to the
-border of a chain of blocks (columns coupled with many blocks). Columns of stations differ little: in a ring of 210
-set-ups by four trackers they have 0.8 to 1.2 times the median, and the instrument parameters, each of which acts on the
-set-ups of one tracker, 4.7 times."""
+"""Limit of the number of non-zero entries of a column, divided by the median over all columns. Above it, the column
+belongs to the border of a chain of blocks (columns coupled with many blocks). Columns of stations differ little: in a
+ring of 210 set-ups by four trackers they have 0.8 to 1.2 times the median, and the instrument parameters, each of which
+acts on the set-ups of one tracker, 4.7 times."""
 MIN_BLOCK_COLUMNS = 48
 """Smallest number of columns of a block of a chain, in which each block is coupled with its neighbours only. With
 smaller blocks function calls cost more than arithmetic."""

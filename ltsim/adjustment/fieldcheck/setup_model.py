@@ -37,9 +37,9 @@ The singular values are those of the whitened design columns of the instrument e
 standard deviations. Combinations with smaller singular values change the readings by much less than the noise.
 """
 MIN_DETERMINED_FRACTION_OF_PARAMETER = 0.999
-"""Smallest fraction of a determined parameter that lies in the space of determined combinations of parameters (squared
-length of the projection of its unit vector). A parameter with a smaller fraction is undetermined and gets an infinite
-variance."""
+"""Limit for the selection of determined parameters, between 0 (undetermined) and 1 (determined): squared length of the
+unit vector of a parameter after projection onto the determined combinations of parameters. A parameter below the limit
+is undetermined and gets an infinite variance."""
 
 
 @dataclass(frozen=True)

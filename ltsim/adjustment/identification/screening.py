@@ -49,10 +49,11 @@ from ltsim.physics.effects.motions import reading_change_by_displacement
 from ltsim.solve.gauss_newton import solve
 
 MIN_OUTLIERS_FOR_DISTANCE_TRIAL = 6
-"""Number of outliers in a network, above which trial fits without the distances of one station or target are made."""
+"""Limit of the number of outliers in a network. If it is exceeded, trial fits are made without the distances of one
+station or target."""
 MIN_GROSS_FRACTION_FOR_TRIAL = 0.4
-"""Fraction of gross errors among the pointings of a station or target, above which a motion of the target is tested, or
-a trial fit without the distances is made."""
+"""Limit of the fraction of gross errors among the pointings of a station or target. If it is exceeded, a motion of the
+target is tested, or a trial fit is made without the distances."""
 MAX_FITTED_HYPOTHESES = 4
 """Largest number of hypotheses that one step of the selection fits; also of failed fits and of trial fits."""
 MIN_SCALE_TEST_LENGTHS = 2

@@ -49,7 +49,7 @@ N_CANDIDATE_YAWS = 4
 REPEATED_SETUP_BASE_ROTATION = math.tau / N_CANDIDATE_YAWS
 """Proposed rotation [rad] of the tracker's base if it is set up again at a previous position."""
 MAX_SETUPS_FOR_ADDITION = 30
-"""Number of set-ups of a recording, from which on no additional station is evaluated, to limit the computing time."""
+"""Smallest number of set-ups in a recording for which no additional station is evaluated, to limit the time."""
 MIN_PROPOSED_SPACING = 0.8
 """Smallest distance [m] of a proposed station or target from all other stations and targets."""
 REFERENCE_BAR_LENGTH = 2.0

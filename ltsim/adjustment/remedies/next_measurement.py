@@ -30,7 +30,7 @@ from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.effects.verbs import effect_tuple
 
 MIN_DECISIVE_CHI2 = 10.0
-"""Smallest expected difference of chi-square at which two possible causes count as distinguished."""
+"""Smallest expected difference of chi-square between two possible causes that a measurement distinguishes."""
 N_EVALUATED_CANDIDATE_STATIONS = 24
 """Number of candidate stations for which the expected difference of chi-square between causes is computed: the stations
 that give most information on the instrument."""

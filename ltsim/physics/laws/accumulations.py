@@ -36,8 +36,8 @@ FIXED_COUNT_RESET_FUNCTION = "every"
 """Name of the reset of an accumulated quantity (sum of the changes of a covariate) after a fixed number of
 pointings."""
 CANDIDATE_RESET_LIMIT_QUANTILES = (0.6, 0.8, 0.92)
-"""Limits of pause, azimuth motion and elevation motion at which a diagnosis tries to reset an accumulated quantity (sum
-of the changes of a covariate), as quantiles in the recording."""
+"""Limits of pause, azimuth motion and elevation motion that a diagnosis tries for the reset of an accumulated quantity
+(sum of the changes of a covariate), as quantiles in the recording."""
 CANDIDATE_DECAY_TIME_FRACTIONS = np.array([0.03, 0.1, 0.3, 1.0])
 """Time constants of decays that a diagnosis tries, as fractions of the span of the time. For accumulated quantities
 (sum of the changes of a covariate) only the first three are tried, as fractions of the median duration of a set-up. Any

@@ -38,14 +38,14 @@ FACE_SIGN_REGRESSOR = scalar_regressor("face", "power")
 """Regressor (function of covariates) with +1 in face 1, -1 in face 2. An elevation error proportional to this regressor
 is an error of the vertical index."""
 MAX_CANDIDATE_STEP_POSITIONS = 41
-"""Largest number of values of a covariate at which a diagnosis tries a step or ramp of an error law."""
+"""Largest number of positions (values of a covariate) that a diagnosis tries for a step or ramp of an error law."""
 PARTS_SEPARATE_BY_SETUP = ("reading", "instrument", "circle", "stand")
 """Parts of the measurement (`Response.changed_part`) for whose errors a diagnosis tries separate coefficients in each
 set-up."""
 MAX_CANDIDATE_SWITCH_EDGES = 60
-"""Largest number of values of a covariate at which a diagnosis tries to turn an error on or off."""
+"""Largest number of values of a covariate that a diagnosis tries for turning an error on or off."""
 MAX_STEPS_IN_MOVED_LAW = 4
-"""Largest number of steps and ramps of an error law for which a local search tries other positions; each costs time."""
+"""Largest number of steps and ramps of an error law whose positions a local search varies; each costs time."""
 MAX_STEP_MOVE_GAPS = 6
 """Largest number of gaps between values of the covariate by which a local search moves a step or ramp, and smallest
 number of gaps between two steps (a few pointings do not determine the size of a step)."""

@@ -11,12 +11,11 @@ from ltsim.core.arrays import Ints
 from ltsim.scene.sightings import Sightings
 
 CANDIDATE_NEIGHBOUR_GROUP_SIZES = (3, 6)
-"""Numbers of nearest neighbours with which a target forms a group for which a diagnosis tries a law (error as a
-function of covariates)."""
+"""Numbers of nearest neighbours in the groups of targets that a diagnosis tries as places of a law (error as a function
+of covariates)."""
 MIN_GROUP_TARGETS = 3
-"""Smallest number of targets in a group, and outside the group, for which a diagnosis tries a law (error as a function
-of covariates) of the group. A law with a separate value for each set-up is tried only with more set-ups than this
-number."""
+"""Smallest number of targets in a group with a law (error as a function of covariates), and outside this group. A law
+with a separate value for each set-up is tried only if there are more set-ups than this number."""
 CLUSTERING_HEIGHT_WEIGHT = 5.0
 """Factor on heights in the clustering of targets by height and surface. A height difference of a fifth of the hall
 then counts as much as an angle of 60 deg between two nest normals."""

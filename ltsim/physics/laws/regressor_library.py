@@ -91,7 +91,7 @@ PERMITTED_COVARIATES_BY_AFFECTED_PART: dict[str, tuple[str, ...]] = {
 columns of the recording. The position of a wall cannot depend on the direction in which a tracker points. The position
 of a stand can, because a head is not balanced exactly."""
 MIN_EFFECTIVE_TARGETS_IN_REGION = 2.5
-"""Effective number (sum w)^2 / sum(w^2) of targets with weights w, above which errors of a region are tried."""
+"""Smallest effective number (sum w)^2 / sum(w^2) of targets with weights w in a region whose errors are tried."""
 NEARNESS_REGION_SHAPES = ("xyz", "xy")
 """Axes along which regions are bounded, for errors that depend on the distance of a target from a position."""
 TEMPORARY_REGION_SHAPES = ("xy", "x", "y", "z")
@@ -108,7 +108,7 @@ MAX_SEPARATE_AMOUNTS = 12
 """Largest number of set-ups, instruments or targets with separate values in an error law (more would fit any errors),
 and largest number of times at which a diagnosis tries a step."""
 MAX_SEPARATE_TARGET_AMOUNTS = 60
-"""Largest number of targets for which a diagnosis tries errors with a separate value for each target."""
+"""Largest number of targets for which a diagnosis tries errors with a separate value per target."""
 WAVE_FREQUENCY_STEP = 0.6
 """Spacing of the frequencies of the waves that a diagnosis tries, in cycles over the span of the covariate."""
 MAX_CANDIDATE_WAVE_CYCLES = 60

@@ -24,8 +24,8 @@ faces."""
 
 
 MIN_RELATIVE_PATH_IN_REGION = 0.05
-"""Length of a line of sight within a region of the hall, divided by the longest one, up to which the line counts as
-outside the region."""
+"""Largest relative path in a region of the hall of a line of sight that counts as outside it: length within the region,
+divided by the longest such length."""
 RECENTRING_PHRASE_BY_OCCUPATION_GROUPING: dict[OccupationGrouping, str] = {
     "station": "for each set-up",
     "instrument_setup": "for each occupation by an instrument",

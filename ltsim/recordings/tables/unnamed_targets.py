@@ -21,8 +21,8 @@ more than the repeatability of a robot.
 MIN_ROWS_OF_MOVING_TARGET = 3
 """Smallest number of rows, and of different positions, with one target name that show a moving target."""
 MAX_COINCIDENT_DISTANCE_M = 1e-3
-"""Distance [m] between two targets below which they are one point, because reflectors have diameters of at least 12.7
-mm."""
+"""Limit of the distance [m] between two targets. Below it they are one point, because reflectors have diameters of at
+least 12.7 mm."""
 MIN_COINCIDENT_POSITIONS = 3
 """Smallest number of positions with several targets that a note reports."""
 MAX_COINCIDENT_NAMES_IN_NOTE = 4

@@ -66,7 +66,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MAX_MARKED_TARGETS = 12
-"""Number of targets of a finding above which they are not marked on the floor plan."""
+"""Largest number of targets of a finding that are marked on the floor plan."""
 MIN_REPORTED_TARGET_ERROR_UM = 0.1
 """Smallest error of targets [um] for which an undetectable effect is listed; smaller errors are negligible."""
 MIN_CURVE_POINTS = 3
