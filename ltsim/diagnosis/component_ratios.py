@@ -26,8 +26,7 @@ def best_component_ratio(
     """Most probable ratio (w,) (unit vector) of the w components of an empirical law, and two logarithms.
 
     The first logarithm is the log evidence at this ratio. The second is the log of the fraction of all ratios that the
-    readings permit. Their sum is the log evidence integrated over all ratios. An empirical law is an error as a
-    function of covariates. Projected means: without the part that the unknowns of the adjustment absorb.
+    readings permit. Their sum is the log evidence integrated over all ratios.
 
     Parameters
     ----------

@@ -286,7 +286,7 @@ def wide_prior_posterior(gram: Floats, score: Floats, plausible_sizes: Floats) -
     """Posterior mean (k,), covariance (k, k) and log evidence of k coefficients with a wide prior.
 
     The prior standard deviation is `WIDE_PRIOR_SIGMA_FACTOR` times the plausible size. `gram` (k, k) is the Gram matrix
-    of the design columns, projected off the unknowns, and `score` (k,) their products with the residuals.
+    of the design columns, projected onto the residual space, and `score` (k,) their products with the residuals.
     """
     return coefficient_posterior(gram, score, plausible_sizes, np.array([WIDE_PRIOR_SIGMA_FACTOR]), np.zeros(1))
 
@@ -303,8 +303,8 @@ def log_positivity_factor(posterior_mean: float, sigma: float) -> float:
 def log_evidence_of_effect(effect: CandidateEffect, gram: Floats, score: Floats) -> float:
     """Log Bayes factor of an effect with k coefficients against no effect, averaged over the sizes of the effect.
 
-    `gram` (k, k) is the Gram matrix of its design columns, projected off the unknowns, and `score` (k,) their products
-    with the residuals.
+    `gram` (k, k) is the Gram matrix of its design columns, projected onto the residual space, and `score` (k,) their
+    products with the residuals.
     """
     plausible_sizes = effect.plausible_sizes
     if not any(p.is_nonnegative for p in effect.parameters):

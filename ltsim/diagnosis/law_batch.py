@@ -71,7 +71,7 @@ class PointingPartition:
     def from_places(cls, places: Sequence[LawPlace], n_pointings: int) -> PointingPartition:
         """Partition of `n_pointings` pointings by the places (stations, targets or instruments) of empirical laws.
 
-        An empirical law is an error as a function of covariates.
+        An empirical law describes an error as a function of covariates.
         """
         is_inside = np.zeros((len(places), n_pointings), dtype=bool)
         for here, place in zip(is_inside, places, strict=True):
@@ -197,9 +197,9 @@ class LawBatch:
     def best_laws_and_log_total_evidence(self, null_ensemble: NullEnsemble) -> tuple[list[ScreenedLaw], float, Floats]:
         """Empirical laws with the largest evidence at each place, log of the summed evidence of all, and null values.
 
-        A place is the stations, targets or instruments where a law acts. The null values (trials,) are the log of the
-        summed evidence for each simulated recording (trial) of the null ensemble. An empirical law is an error as a
-        function of covariates.
+        An empirical law describes an error as a function of covariates. A place is the stations, targets or instruments
+        where a law acts. The null values (trials,) are the log of the summed evidence for each simulated recording
+        (trial) of the null ensemble.
         """
         count, size = len(self.regressors), self.regressors[0].n_columns
         products = size * self.whitened_response_designs[0, 0].size * len(self.places)
@@ -256,12 +256,12 @@ class LawBatch:
     def _scaled_eigen_decompositions(self, gram: Floats, regressor_range: slice) -> list[tuple[Floats, Floats32]]:
         """Eigen decompositions of Gram matrices of empirical laws, scaled by prior sigmas of their coefficients.
 
-        The list runs over the length scales of the smooth functions of a regressor, each with its own prior sigmas. An
-        entry has the eigenvalues (P, C, d, c k) and matrices (P, C, d, c k, c k); the product of such a matrix with the
-        scores of a law gives its scores along the eigenvectors. There are P places (stations and targets where a law
-        acts), C responses (quantities that it changes) with c components, and d regressors with k columns in
-        `regressor_range`. `gram` has the shape (P, C, d, c k, c k). An empirical law is an error as a function of
-        covariates.
+        An empirical law describes an error as a function of covariates. The list runs over the length scales of the
+        smooth functions of a regressor, each with its own prior sigmas. An entry has the eigenvalues (P, C, d, c k) and
+        matrices (P, C, d, c k, c k); the product of such a matrix with the scores of a law gives its scores along the
+        eigenvectors. There are P places (stations and targets where a law acts), C responses (quantities that it
+        changes) with c components, and d regressors with k columns in `regressor_range`. `gram` has the shape (P, C, d,
+        c k, c k).
         """
         transforms = []
         for spread in (spread[regressor_range] for spread in self._prior_sigmas):
@@ -297,11 +297,10 @@ class LawBatch:
         return np.ascontiguousarray(products.transpose(0, 3, 1, 4, 2, 5)).reshape(len(products), count, d, -1, vectors)
 
     def _unprojected_gram_matrices(self, columns: Floats32) -> Floats:
-        """Gram matrices (P, C, d, c k, c k) of the designs of empirical laws, before their projection.
+        """Gram matrices (P, C, d, c k, c k) of the designs of empirical laws, before projection.
 
         The laws act at P places (stations and targets) on C responses (changed quantities) with c components. `columns`
-        (n, d k) are the k columns of each of d regressors (functions of covariates) at n pointings. Projected means:
-        without the part that the unknowns of the adjustment absorb.
+        (n, d k) are the k columns of each of d regressors (functions of covariates) at n pointings.
         """
         _, _, count, n_components = self.whitened_response_designs.shape
         k = self.regressors[0].n_columns
@@ -347,8 +346,8 @@ def evaluate_law_batches(
 ) -> list[tuple[list[ScreenedLaw], float, Floats]]:
     """Best laws, log of the summed evidence, and null values (trials,) of each batch of laws, in the order of batches.
 
-    An empirical law is an error as a function of covariates. The null values are the log of the summed evidence in
-    simulated recordings without effects (trials).
+    An empirical law describes an error as a function of covariates. The null values are the log of the summed evidence
+    in simulated recordings without effects (trials).
     """
     by_columns: dict[int, list[int]] = {}
     for i, batch in enumerate(law_batches):

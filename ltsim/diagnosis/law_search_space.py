@@ -166,7 +166,7 @@ def _places_and_regressors_by_kind(space: ResidualSpace) -> list[tuple[str, tupl
 def _names_of_separate_places(names: tuple[str, ...]) -> tuple[str, ...]:
     """Names of stations or targets at which separate empirical laws are tried; empty for one name or too many names.
 
-    An empirical law is an error as a function of covariates.
+    An empirical law describes an error as a function of covariates.
     """
     return names if 1 < len(names) <= MAX_SEPARATE_SETUPS_OR_TARGETS else ()
 
@@ -174,7 +174,7 @@ def _names_of_separate_places(names: tuple[str, ...]) -> tuple[str, ...]:
 class _LawBatchBuilder:
     """Builder of batches of empirical laws; laws that differ only in the place where they act are in the same batch.
 
-    An empirical law is an error as a function of covariates.
+    An empirical law describes an error as a function of covariates.
     """
 
     def __init__(self, space: ResidualSpace) -> None:
@@ -323,9 +323,9 @@ class _LawBatchBuilder:
 def _may_change_in_region(regressor_kind: str, response: Response) -> bool:
     """True if an empirical law with a function of the kind `regressor_kind` may change the quantity `response`.
 
-    It is always true for functions without a region of the hall. A range changes in proportion to the length of the
-    path in the region (`passage`), and an angle in proportion to this length weighted by its lever (`lever`). An
-    empirical law is an error as a function of covariates.
+    An empirical law describes an error as a function of covariates. The result is always true for functions without a
+    region of the hall. A range changes in proportion to the length of the path in the region (`passage`), and an angle
+    in proportion to this length weighted by its lever (`lever`).
     """
     base_kind = regressor_kind.removesuffix(" for a time")
     return base_kind not in ("passage", "lever") or ("distance" in response.observables) == (base_kind == "passage")
@@ -343,9 +343,9 @@ def _is_wave_tried_for(changed_part: str, wave: Regressor) -> bool:
 def response_with_size_raised_to_noise(response: Response, whitened_changes: Floats) -> Response:
     """Copy of a response whose plausible size is at least as large as the noise of the readings.
 
-    The response is the quantity that an empirical law changes. `whitened_changes` (n, 3, c) are the whitened changes of
-    the three readings of n pointings per unit of each of its c components. An empirical law is an error as a function
-    of covariates.
+    An empirical law describes an error as a function of covariates. The response is the quantity that an empirical law
+    changes. `whitened_changes` (n, 3, c) are the whitened changes of the three readings of n pointings per unit of each
+    of its c components.
     """
     change_in_sigmas = response.plausible_size * np.sqrt(np.mean(np.sum(whitened_changes**2, axis=1), axis=1))
     return replace(response, plausible_size=response.plausible_size * size_factor_to_noise_level(change_in_sigmas))

@@ -74,7 +74,7 @@ def noise_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> l
 
 @dataclass(frozen=True)
 class NoiseHypothesisSet:
-    """Noise hypotheses (noise other than declared) for an adjustment, with their evidence.
+    """Hypotheses of changed noise for an adjustment, with their evidence.
 
     The evidence is computed for the recording and for simulated recordings. In the diagonal form (independent readings)
     it is a linear function of squared residuals and of squared means of repeated readings.
@@ -98,7 +98,7 @@ class NoiseHypothesisSet:
     """Noise hypotheses with a size for each group of readings: noise level, noise by target and by station, noise in
     intervals of time."""
     residual_space: ResidualSpace
-    """Whitened equations of the adjustment, projected off its unknowns (residual space)."""
+    """Residual space of the adjustment: whitened observations without the part that the unknowns absorb."""
 
     @classmethod
     def from_residual_space(

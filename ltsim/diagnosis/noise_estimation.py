@@ -41,9 +41,10 @@ def reml_gain_function(
 ) -> Callable[[Floats], Floats]:
     """Function from the values (k,) of k variance parameters to the gain (k,) of log likelihood by each parameter.
 
-    The likelihood is the restricted likelihood. Each reading depends on at most one parameter. The effect changes the
-    standard deviations `sigma` (n, 3) of n pointings, while the m residuals (m,) are whitened by the standard
-    deviations of the residual space. The residual space contains the whitened equations, projected off the unknowns.
+    The residual space is the space of whitened observations without the part that the unknowns absorb. The likelihood
+    is the restricted likelihood. Each reading depends on at most one parameter. The effect changes the standard
+    deviations `sigma` (n, 3) of n pointings, while the m residuals (m,) are whitened by the standard deviations of the
+    residual space.
     """
     faces, used, scale = getattr(effect, "shared_error_repetition", ""), space.is_used_reading, effect.plausible_sizes
     means = normalised_sum_matrix_of_repeats(space, faces) if faces else None

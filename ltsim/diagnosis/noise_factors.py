@@ -21,14 +21,14 @@ observations that the pattern changes."""
 
 @dataclass(frozen=True)
 class VariancePatternGroup:
-    """Group of patterns of added variance, and of noise hypotheses, each of which is a pattern times a size.
+    """Group of patterns of added variance, and of hypotheses of changed noise, each of which is a pattern times a size.
 
-    Either all patterns are sparse, or all are dense on the same observation equations. A noise hypothesis is a changed
-    noise. A pattern is the added variance of each reading per unit of the size.
+    A pattern is the added variance of each reading per unit of the size. Either all patterns are sparse, or all are
+    dense on the same observation equations.
     """
 
     hypothesis_indices: Ints
-    """Indices (h,) of the h noise hypotheses (changed noise levels) of the group."""
+    """Indices (h,) of the h hypotheses of changed noise of the group."""
     pattern_indices: Ints
     """Index (h,), in ascending order, of the pattern (added variance of each reading per unit of a size) of each of h
     hypotheses."""
@@ -106,7 +106,7 @@ class VarianceFactors:
     """Variance factors of noise hypotheses (changed noise), each of which is in one `VariancePatternGroup`."""
 
     n_hypotheses: int
-    """Number h of noise hypotheses (changed noise levels)."""
+    """Number h of hypotheses of changed noise."""
     groups: tuple[VariancePatternGroup, ...]
     """Groups of patterns (added variance of each reading per unit of a size), to one of which each hypothesis
     belongs."""
@@ -115,8 +115,8 @@ class VarianceFactors:
     def from_patterns(cls, patterns: Iterable[VariancePatternWithSizes], observation_kinds: Ints) -> VarianceFactors:
         """Variance factors from the patterns of added variance of consecutive hypotheses.
 
-        `observation_kinds` (m,) is the kind of each of the m observations. A pattern is the added variance of each
-        observation per unit of a size. Dense patterns are stored for all observations of the kinds that they change.
+        A pattern is the added variance of each observation per unit of a size. `observation_kinds` (m,) is the kind of
+        each of the m observations. Dense patterns are stored for all observations of the kinds that they change.
         """
         dense: dict[tuple[bool, ...], tuple[list[Floats32], list[FirstIndexAndSizes]]] = {}
         sparse: list[tuple[Ints, Floats32]] = []

@@ -44,7 +44,7 @@ NOISY_OBSERVABLE_SETS: tuple[tuple[str, ...], ...] = (*((name,) for name in OBSE
 
 @dataclass(frozen=True)
 class GroupNoiseHypothesis:
-    """Noise hypothesis (noise other than declared) with a separate variance factor for each of g groups of readings."""
+    """Hypothesis of changed noise with a separate variance factor for each of g groups of readings."""
 
     effect: CandidateNoiseEffect
     """Effect on the noise level, with one parameter per group of readings."""
@@ -55,7 +55,7 @@ class GroupNoiseHypothesis:
 
     @property
     def name(self) -> str:
-        """Name of this kind of noise hypothesis (noise other than declared)."""
+        """Name of this kind of hypothesis of changed noise."""
         return self.effect.name
 
     def log_evidence_by_group(self, residual: Floats, redundancy: Floats) -> Floats:
@@ -71,16 +71,16 @@ class GroupNoiseHypothesis:
         return log_totals - np.log(len(self.variance_factor_grid))
 
     def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence (trials,) of the noise hypothesis for each recording (trial), from m residuals (m, trials).
+        """Log evidence (trials,) of the changed noise in each recording (trial), from m residuals (m, trials).
 
-        `redundancy` (m,) are the redundancy numbers of the m residuals. A noise hypothesis is a changed noise.
+        `redundancy` (m,) are the redundancy numbers of the m residuals.
         """
         raise NotImplementedError
 
     def limited_to_most_probable_place(self, residual: Floats, redundancy: Floats) -> tuple[GroupNoiseHypothesis, ...]:
-        """Copies of the noise hypothesis limited to the targets, the station or the region with the largest evidence.
+        """Copies of the hypothesis, limited to the targets, the station or the region with the largest evidence.
 
-        The result is empty for a hypothesis that cannot be limited in this way. A noise hypothesis is a changed noise.
+        The result is empty for a hypothesis that cannot be limited in this way.
         """
         del residual, redundancy
         return ()
@@ -189,8 +189,8 @@ class GroupNoiseMixture(GroupNoiseHypothesis):
     def candidates(cls, space: ResidualSpace) -> tuple[GroupNoiseMixture, ...]:
         """Hypotheses of separate noise by target and by station, and of a heavy tail, in a residual space.
 
-        Targets and stations have a common factor for all observables, or a separate factor for each. The residual space
-        contains the whitened equations, projected off the unknowns.
+        The residual space is the space of whitened observations without the part that the unknowns absorb. Targets and
+        stations have a common factor for all observables, or a separate factor for each.
         """
         banks, kinds = [], len(OBSERVABLES)
         for each, per_observable in product(("target", "station"), (False, True)):
@@ -231,7 +231,7 @@ class GroupNoiseMixture(GroupNoiseHypothesis):
 
     @property
     def name(self) -> str:
-        """Name of this kind of noise hypothesis (noise other than declared)."""
+        """Name of this kind of hypothesis of changed noise."""
         return f"unknown:noise:each {getattr(self.effect, 'group_kind', '')}"
 
     def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:

@@ -42,7 +42,7 @@ class NullEnsemble:
     """
 
     residual_space: ResidualSpace
-    """The m whitened observation equations of the adjustment, projected off its unknowns (residual space)."""
+    """Residual space of the adjustment: whitened observations without the part that the unknowns absorb."""
     probe_vectors: Floats32
     """Vectors (m, 1 + t + u) side by side: the residuals given the effects of a model, the residuals of t simulated
     recordings, and an orthonormal basis of u estimated parameters. With `uses_monte_carlo_gram` the basis is replaced
@@ -51,11 +51,11 @@ class NullEnsemble:
     """Number t of simulated recordings that give the p-value of a search for effects; 0 for a search without
     p-value."""
     model_basis: Floats
-    """Orthonormal basis (m, e), e vectors, of the projected design columns of the effects in the model. Projected
-    means: without the part that the unknowns of the adjustment absorb."""
+    """Orthonormal basis (m, e), e vectors, of the design columns of the effects in the model, projected onto the
+    residual space."""
     is_first_screening: bool
-    """True for the first screening (approximate evaluation of all effects) of a residual space (whitened equations
-    projected off the unknowns), whose Gram matrices later screenings with a model use again."""
+    """True for the first screening (approximate evaluation of all effects) in a residual space; later screenings with a
+    model use its Gram matrices again."""
     uses_monte_carlo_gram: bool
     """True if the Gram matrices of the effects are estimated as means over simulated residuals.
 
@@ -66,7 +66,8 @@ class NullEnsemble:
     def from_residual_space(cls, space: ResidualSpace, seed: int, n_trials: int) -> NullEnsemble:
         """Ensemble for an adjustment without effects, with `n_trials` recordings simulated from `seed`.
 
-        `space` has the whitened equations of the adjustment, projected off its unknowns (residual space).
+        `space` is the residual space of the adjustment (whitened observations without the part that the unknowns
+        absorb).
         """
         basis = parameter_basis_of_small_network(space)
         n_basis_vectors = N_MONTE_CARLO_GRAM_VECTORS if basis is None else basis.shape[1]
@@ -118,7 +119,7 @@ class NullEnsemble:
     def projected_gram(self, scores: Floats | Floats32, unprojected_gram: Floats | None) -> Floats:
         """Gram matrices (..., k, k) of the k design columns of an effect after projection onto the residual space.
 
-        The residual space contains the whitened equations, projected off the unknowns.
+        The residual space is the space of whitened observations without the part that the unknowns absorb.
 
         Parameters
         ----------

@@ -54,8 +54,8 @@ def inspection_action(finding: Finding) -> str:
 def _confirmation_text(finding: Finding) -> str:
     """Measurement that confirms the effect of a finding, as text after a semicolon.
 
-    The text is empty for an empirical law outside the catalogue, and if no measurement is needed. An empirical law is
-    an error as a function of covariates.
+    An empirical law describes an error as a function of covariates. The text is empty for an empirical law outside the
+    catalogue, and if no measurement is needed.
     """
     if not finding.is_catalogued:
         return ""

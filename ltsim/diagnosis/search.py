@@ -294,7 +294,7 @@ class Searcher:
         return self.model_with(model.hypotheses[:effect_index] + model.hypotheses[effect_index + 1 :])
 
     def _projected_design(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
-        """Design matrix (m, k) of a hypothesis, projected off the unknowns, and column norms (k,) before projection."""
+        """Design matrix (m, k) of a hypothesis in the residual space, and column norms (k,) before its projection."""
         key = hypothesis.effect_key
         if key not in self._projected_designs:
             whole = self.evidence_calculator.whitened_design(hypothesis.effect)

@@ -115,8 +115,8 @@ def law_sentence(
 ) -> str:
     """Sentences on an empirical law outside the catalogue: changed quantity, function, place, size, probability.
 
-    `law_text` is the description of the law, and `p_same_scope` the probability of any effect with the same scope
-    (observables, place, covariates). An empirical law is an error as a function of covariates.
+    An empirical law describes an error as a function of covariates. `law_text` is the description of the law, and
+    `p_same_scope` the probability of any effect with the same scope (observables, place, covariates).
     """
     sizes_text = estimates_phrase(parameters)
     size_phrase = f" ({sizes_text})" if sizes_text else ""

@@ -45,15 +45,15 @@ always on. At this limit an empirical law acts on about one pointing in a thousa
 class SpanGramAndScore(NamedTuple):
     """Gram matrix and score of an empirical law with separate coefficients in each of S spans of its covariate.
 
-    An empirical law is an error as a function of covariates.
+    An empirical law describes an error as a function of covariates.
     """
 
     gram: Floats
-    """Gram matrix (S, w, S, w) of the projected design columns for w coefficients in each of S spans (intervals) of a
-    covariate. Projected means: without the part that the unknowns of the adjustment absorb."""
+    """Gram matrix (S, w, S, w) of the design columns, projected onto the residual space, for w coefficients in each of
+    S spans (intervals) of a covariate."""
     score: Floats
-    """Products (S, w) of the projected design columns with the residuals, for w coefficients in each of S spans
-    (intervals) of a covariate. Projected means: without the part that the unknowns of the adjustment absorb."""
+    """Products (S, w) of the design columns with the residuals, for w coefficients in each of S spans (intervals) of a
+    covariate."""
     mean_square_contributions: Floats
     """Contribution (S,) of each of S spans (intervals of a covariate) to the mean square of the regressor (function of
     the covariate)."""
@@ -62,9 +62,9 @@ class SpanGramAndScore(NamedTuple):
 def n_tried_waves_of_same_covariate(law: EmpiricalLaw, sightings: Sightings) -> int:
     """Number of waves of the same covariate that a diagnosis tried, if an empirical law has a wave; otherwise 1.
 
-    The law with the most probable of these waves represents any switch. The prior of the switch is therefore the prior
-    of the law multiplied by the number of waves. An empirical law is an error as a function of covariates. A switch is
-    on in some intervals of a covariate, and off in the others.
+    An empirical law describes an error as a function of covariates. The law with the most probable of these waves
+    represents any switch. The prior of the switch is therefore the prior of the law multiplied by the number of waves.
+    A switch is on in some intervals of a covariate, and off in the others.
     """
     swing = law.switchable_factor
     if swing is None or swing.kind != "wave":
@@ -82,9 +82,9 @@ def switched_forms(
 ) -> list[Hypothesis]:
     """Copies of an empirical law that act only in some spans of its covariate; empty if the law cannot be switched.
 
-    `log_prior` is the log prior probability of a copy. The effects of `conditioning_model` are estimated in addition.
-    If the law has a region of the hall, a local search fits the region before the times, unless `refines_region` is
-    false. An empirical law is an error as a function of covariates.
+    An empirical law describes an error as a function of covariates. `log_prior` is the log prior probability of a copy.
+    The effects of `conditioning_model` are estimated in addition. If the law has a region of the hall, a local search
+    fits the region before the times, unless `refines_region` is false.
     """
     sightings = calculator.residual_space.sightings
     edges = law.candidate_switch_steps(sightings)
@@ -113,9 +113,9 @@ def _forms_with_formula_as_second_factor(
 ) -> list[Hypothesis]:
     """List of an empirical law with a switch in which a formula replaces the curve in the other factor of the law.
 
-    The list is empty if `form`, the law, has no curve. The effects of `conditioning_model` are estimated in addition.
-    An empirical law is an error as a function of covariates. A switch is on in some intervals of a covariate, and off
-    in the others.
+    An empirical law describes an error as a function of covariates. The list is empty if `form`, the law, has no curve.
+    The effects of `conditioning_model` are estimated in addition. A switch is on in some intervals of a covariate, and
+    off in the others.
     """
     law = form.effect
     assert isinstance(law, EmpiricalLaw)
@@ -140,8 +140,8 @@ def _span_gram_and_score(
 ) -> SpanGramAndScore:
     """Gram matrix and score of an empirical law with separate coefficients in each interval of its covariate.
 
-    The intervals extend from each of the steps `step_regressors` to the next. The effects of `conditioning_model` are
-    estimated in addition. An empirical law is an error as a function of covariates.
+    An empirical law describes an error as a function of covariates. The intervals extend from each of the steps
+    `step_regressors` to the next. The effects of `conditioning_model` are estimated in addition.
     """
     sightings, count = calculator.residual_space.sightings, len(step_regressors)
     x = sightings.covariate_values[step_regressors[0].covariates[0]]

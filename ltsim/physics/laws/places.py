@@ -52,7 +52,7 @@ def station_names_of_rows(sightings: Sightings, rows: Ints) -> tuple[str, ...]:
 def instrument_places(sightings: Sightings, names: Sequence[str]) -> tuple[LawPlace, ...]:
     """Places of laws, one per instrument in `names` with all its set-ups; empty if there is only one instrument.
 
-    A law is an error as a function of covariates.
+    A law describes an error as a function of covariates.
     """
     places = tuple(
         LawPlace(station_names_of_rows(sightings, rows), (), rows, (name,))
@@ -64,9 +64,9 @@ def instrument_places(sightings: Sightings, names: Sequence[str]) -> tuple[LawPl
 def target_clusters(sightings: Sightings) -> set[tuple[int, ...]]:
     """Groups of related targets, for each of which a diagnosis tries a law, as tuples of sorted target indices.
 
-    The groups are the branches of three trees of hierarchical clustering (average linkage): by position, by position
-    and surface, and by height and surface. Nests with similar normals count as mounted on the same surface. A law is an
-    error as a function of covariates.
+    A law describes an error as a function of covariates. The groups are the branches of three trees of hierarchical
+    clustering (average linkage): by position, by position and surface, and by height and surface. Nests with similar
+    normals count as mounted on the same surface.
     """
     if len(sightings.target_points) < 2 * MIN_GROUP_TARGETS:
         return set()
@@ -117,7 +117,7 @@ def groups_connected_by_lengths(
 def group_places(sightings: Sightings, target_groups: set[tuple[int, ...]]) -> Iterator[LawPlace]:
     """Places of laws, one per group of targets (tuple of target indices), with the pointings to the group.
 
-    A law is an error as a function of covariates.
+    A law describes an error as a function of covariates.
     """
     for members in sorted(target_groups):
         rows = np.flatnonzero(np.isin(sightings.target, members))

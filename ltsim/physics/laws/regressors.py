@@ -135,10 +135,10 @@ class Regressor:
     def columns(self, sightings: Sightings, *, acts_on_targets: bool = False) -> Floats:
         """Columns (n, k) of the regressor in the design matrix, for n pointings, each with an rms of about one.
 
-        If the law moves targets (`acts_on_targets`), the columns are relative to the pointings at which the targets
-        have their declared coordinates: those at the start of the measurement, or those at which the additional column
-        of the recording is zero. Without such pointings each column has zero mean. A law is an error as a function of
-        covariates.
+        A law describes an error as a function of covariates. If the law moves targets (`acts_on_targets`), the columns
+        are relative to the pointings at which the targets have their declared coordinates: those at the start of the
+        measurement, or those at which the additional column of the recording is zero. Without such pointings each
+        column has zero mean.
         """
         columns = self._unreduced_columns(sightings, acts_on_targets)
         if not acts_on_targets or self.kind in ("constant", "field", "amounts", "product"):
@@ -194,8 +194,8 @@ class Regressor:
     def _accumulation_or_latch_column(self, sightings: Sightings, name: str) -> Floats:
         """Values (n,) in n pointings of an accumulated quantity or a latch, minus their mean.
 
-        A latch is on once a covariate exceeds a threshold, and off once it is below a lower one. An accumulated
-        quantity is the sum of the changes of a covariate over the pointings.
+        An accumulated quantity is the sum of the changes of a covariate over the pointings. A latch is on once a
+        covariate exceeds a threshold, and off once it is below a lower one.
         """
         if self.kind == "latch":
             return latched(sightings, name, self.constant, self.release_threshold)
