@@ -216,8 +216,8 @@ class AcceptancePrediction:
     """Predicted results of acceptance tests."""
 
     expected_errors: Floats
-    """Expected errors (tests, 2) [m]: for a length its error and 0, for a two-face difference its parts to the left and
-    upwards."""
+    """Expected errors (tests, 2) [m]. A length has its error and 0; a two-face difference has its components to the
+    left and upwards, as seen from the instrument."""
     error_sigmas: Floats
     """Standard deviations (tests, 2) [m] of the two components of `expected_errors`, including noise."""
     pass_probabilities: Floats

@@ -82,7 +82,7 @@ class Adjustment(Result):
     cause_sentences: tuple[str, ...] = ()
     """Sentences on identified errors that the model contains and that explain the misfit."""
     noise_sentences: tuple[str, ...] = ()
-    """Sentences on noise larger than declared that explains the misfit; `problem.reading_sigmas` do not contain it."""
+    """Sentences on noise that is larger than declared and explains the misfit; the weights do not contain it."""
     datum: InnerConstraintDatum | None = None
     """Datum of the covariances by inner constraints; None if the pose of the first station, or constraints, define the
     datum."""

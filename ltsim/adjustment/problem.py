@@ -359,7 +359,7 @@ class NetworkProblem(NetworkRows):
 
     @cached_property
     def level_row_slice(self) -> slice:
-        """Slice of the equations of the levels in the list of all equations, two per level."""
+        """Slice that selects the equations of the levels (two per level) among all equations."""
         first_level_row = (
             int(self.is_used_reading.sum())
             + len(self.gauge_rows)

@@ -82,7 +82,7 @@ class FirstOrderEffect(CandidateEffect):
     """
 
     exact_effect: CandidateEffect
-    """Effect whose design matrix is fixed; the fields below are copied from it."""
+    """Effect whose design matrix is fixed. The fields after `design_at_state` have the values of this effect."""
     design_at_state: Floats = field(compare=False, repr=False)
     """Fixed design matrix: change (n, 3, p) of the readings of n pointings per unit of each of p parameters."""
     name: str = ""

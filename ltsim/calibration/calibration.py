@@ -353,7 +353,7 @@ class Calibration(UncertaintyEntry, ResultFile):
 
 
 def _parameter_entries(arrays: CalibrationArrays, applied_values: Floats) -> tuple[ParameterEntry, ...]:
-    """Entries of the estimates in display units, and of `applied_values` (instruments, parameters) [SI] that differ."""
+    """Result entries of the parameters, with `applied_values` [SI] where they differ from the estimates."""
     is_multiple = len(arrays.instruments) > 1
     parameter_entries = []
     for i, instrument in enumerate(arrays.instruments):
@@ -380,7 +380,7 @@ def _entries_per_instrument(
     make_entries: Callable[[Sequence[Parameter], Floats, Floats], list[EntryT]],
     transform: Callable[[Sequence[Parameter], Floats, Floats, Floats], tuple[Floats, Floats]] | None = None,
 ) -> tuple[EntryT, ...]:
-    """Entries of all instruments, from the estimates and covariance of each, which `transform` may change first."""
+    """Result entries of all instruments, from the estimates and covariance of each (after `transform`, if given)."""
     several, size = len(arrays.instruments) > 1, arrays.construction.n_parameters
     flat_entries: list[EntryT] = []
     parameters = arrays.construction.parameters

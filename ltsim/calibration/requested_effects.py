@@ -167,7 +167,7 @@ def _law_size_entries(law: EmpiricalLaw, adjustment: Adjustment) -> tuple[Fitted
 def _effect_entries(
     effect: CandidateEffect, estimates: Sequence[ParameterEstimate], fixed_fields: frozenset[str]
 ) -> tuple[FittedParameterEntry, ...]:
-    """Entries of an effect for the result: sizes, then shape parameters (names, fixed numbers, estimated numbers).
+    """Result entries of an estimated effect: its sizes, then its shape parameters, both fixed and estimated ones.
 
     `fixed_fields` are the names of the shape parameters that the user fixed.
     """

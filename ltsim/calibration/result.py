@@ -101,7 +101,7 @@ def station_poses(adjustment: Adjustment, covariance: Floats | None = None) -> t
 
 
 def outlier_rows(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
-    """Entries of outlying readings: gross errors, other excluded readings, then outliers by w-test or tau-test."""
+    """Result entries of outlying readings: gross errors, other excluded readings, then those that tests flag."""
     recording = adjustment.recording
     whitened = np.nan_to_num(adjustment.residuals / adjustment.problem.reading_sigmas)
 

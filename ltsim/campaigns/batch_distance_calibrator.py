@@ -118,7 +118,10 @@ class BatchDistanceCalibrator(BatchCalibrator):
 
     @cached_property
     def _pair_difference_comparisons(self) -> DistanceComparisons:
-        """Differences of a target distance measured from two stations, or from a reference length, at zero errors."""
+        """Comparisons of distances between two targets: measured from two stations, or with a reference length.
+
+        They are computed from the nominal readings, for an instrument without errors.
+        """
         return pair_difference_comparisons(self.distance_problem, self._nominal_distances)
 
     @property

@@ -42,7 +42,7 @@ HELD_OUT_POINT_ERRORS_TABLE = Table(
 
 @dataclass(frozen=True, repr=False)
 class HeldOutPointErrors(Result):
-    """Errors at new points after correction of the readings by each of several calibrations of one recording."""
+    """Errors at new points, for each of several calibrations of one recording, before and after their corrections."""
 
     errors_by_calibration: Mapping[str, CalibrationErrors]
     """Rms errors [m] at new points before and after correction of the readings, by name of the calibration."""

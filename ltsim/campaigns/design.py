@@ -215,10 +215,10 @@ def _shared_json_part(value: Any, part_by_text: dict[str, Any]) -> Any:
 
 
 def require_small_manifest(scenario: Scenario, n_cells: int, path: Path) -> None:
-    """Check that the scenarios of all cells together have at most `MAX_MANIFEST_VALUES` values.
+    """Check that the scenarios of a campaign have at most `MAX_MANIFEST_VALUES` values together.
 
-    A cell is a combination of factor levels; `scenario` is the base scenario of the `n_cells` cells. InputError names
-    the campaign file `path`.
+    `scenario` is the base scenario of the `n_cells` cells (combinations of factor levels). InputError names the
+    campaign file `path`.
     """
     text = scenario.model_dump_json(by_alias=True)
     n_values = n_cells * (text.count(",") + text.count("[") + text.count("{"))
@@ -232,7 +232,7 @@ def require_small_manifest(scenario: Scenario, n_cells: int, path: Path) -> None
 def require_few_cells(n_cells: int, n_effects_by_method: Sequence[int]) -> None:
     """Check that a campaign has at most `MAX_CELLS` cells and `MAX_STATISTICS` statistics; raises ValueError.
 
-    A cell is a combination of factor levels. `n_effects_by_method` holds the number of effects that each calibration
+    A cell is a combination of factor levels. `n_effects_by_method` is the number of effects that each calibration
     method estimates.
     """
     if n_cells > MAX_CELLS:

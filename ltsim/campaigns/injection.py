@@ -273,7 +273,7 @@ def _drawn_effect(
 
 
 def _split_parameter_values(effect_specification: str) -> tuple[str, dict[str, float]]:
-    """Text of an effect's specification without the parameter values in it, and these values by parameter name."""
+    """Specification of an effect without its parameter values, as text, and the parameter values by name."""
     name, _, rest = effect_specification.partition(":")
     names = {LAW_AMPLITUDE_NAME} if "~" in name else {p.name for p in find_effect(name.strip()).parameters}
     items, sizes = [part.strip() for part in rest.split(",") if part.strip()], {}

@@ -335,10 +335,10 @@ def _requested_level(factor_name: str, requested_level: Any, levels: Sequence[An
 def _trial_numbers_and_values(
     results: CampaignStatistics, statistic: str, cell: int, method: str
 ) -> tuple[Floats, Floats]:
-    """Trial numbers (trials,) of a cell and method, and the values whose means give the statistic.
+    """Trial numbers (trials,) of a combination of factor levels and a method, and values whose means give a statistic.
 
-    A cell is a combination of factor levels. The values have the shape (1, trials) for a mean, and (2, trials),
-    numerator and denominator, for a ratio of means.
+    `cell` is the index of the combination. The values have the shape (1, trials) for a mean, and (2, trials), numerator
+    and denominator, for a ratio of means.
     """
     expressions = statistic_sql_expressions(statistic)
     table = results.sql_expression_values(("trial", *expressions), cell, method, f"{expressions[0]} IS NOT NULL")

@@ -28,7 +28,7 @@ nearly all of the error comes from the prior of the parameter, and the parameter
 
 @dataclass(frozen=True)
 class NetworkScore:
-    """Scores of the adjusted network of a trial as a whole; NaN for a score that does not exist."""
+    """Mean squared z-scores and chi-square of the adjusted network of a trial; NaN for a missing quantity."""
 
     target_mean_square_z: float = np.nan
     """Mean squared z-score (error / sigma) over all coordinates of targets."""

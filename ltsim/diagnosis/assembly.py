@@ -121,7 +121,7 @@ def assemble_diagnosis(
 def _reported_findings(
     test_findings: Sequence[Finding], shift_findings: Sequence[Finding], noise_findings: Sequence[Finding]
 ) -> list[Finding]:
-    """Findings of a diagnosis: first probable errors of readings, then others, each by decreasing drop of chi-square.
+    """Findings of a diagnosis: probable errors of readings, then all others, each by decreasing drop of chi-square.
 
     They are findings of tests (such as blunders), of effects that shift readings, and on changed noise levels.
     Improbable findings on the noise are reported only if there is no other finding. As in `select_causes`, errors of

@@ -369,8 +369,8 @@ def _squared_shift_fraction_by_observable(is_used_reading: Bools, shift: Floats)
 
 
 RELATIVE_DISCREPANCY_GRID = np.geomspace(0.05, 1.0, 9)
-"""Grid of relative differences between the change of readings by an unmodelled cause and the change by the hypothesis
-that it resembles. It is log-uniform from 0.05, hardly visible, to 1, a difference as large as the change."""
+"""Grid of relative differences between the changes of readings by an unmodelled cause and by the hypothesis that it
+resembles. The grid is log-uniform from 0.05, a hardly visible difference, to 1, a difference as large as the change."""
 
 
 def log_bayes_factor_of_discrepancy(space: ResidualSpace, shift: Floats, residual: Floats, redundancy: Floats) -> float:

@@ -285,7 +285,7 @@ def probability_and_equivalents(
 
 
 def _size_averaged_log_evidence(model: EffectModel) -> float:
-    """Log evidence of a model, averaged over the size factors t of its effects.
+    """Log evidence of a model, averaged over factors t on the plausible sizes of its effects.
 
     The coefficients of an effect in the model have the prior N(0, (t size)^2) with their plausible sizes. The sum
     covers only the factors near the combination of factors with the largest evidence.

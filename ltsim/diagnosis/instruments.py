@@ -42,12 +42,12 @@ INSTRUMENT_CONSTANT_REFERENCE_PHRASES = {True: "its declared correction", False:
 
 
 def instrument_entries(adjustment: Adjustment) -> tuple[InstrumentEntry, ...]:
-    """Entries of all instruments of a recording, with instrument constants and their measurable combinations."""
+    """Result entries of all instruments of a recording, with constants and measurable combinations of them."""
     return tuple(_instrument_entry(adjustment, i) for i in range(len(adjustment.recording.instruments)))
 
 
 def _instrument_entry(adjustment: Adjustment, instrument_index: int) -> InstrumentEntry:
-    """Entry of one instrument of a recording, with its constants and their measurable combinations."""
+    """Result entry of one instrument of a recording, with its constants and the measurable combinations of them."""
     parameters = adjustment.construction.parameters
     constants = adjustment.state.instrument_parameters[instrument_index]
     covariance = adjustment.instrument_covariance_of(instrument_index)

@@ -31,9 +31,9 @@ from ltsim.physics.laws.responses import Response
 from ltsim.scene.sightings import Sightings
 
 MAX_CACHED_COLUMN_ENTRIES = 16_000_000
-"""Largest number of elements (64 MB) of design columns of regressors (functions of covariates) that stay in memory. The
-limit applies to the columns in use during the approximate evaluation of all laws, and to all columns between two
-evaluations. To compute released columns again takes a sixth of the time of an evaluation."""
+"""Largest number of elements (64 MB) of cached design columns of regressors (functions of covariates), both during an
+approximate evaluation of all laws and between two evaluations. To compute released columns again takes a sixth of the
+time of an evaluation."""
 
 
 class ScreenedLaw(NamedTuple):
@@ -53,18 +53,18 @@ class ScreenedLaw(NamedTuple):
 
 @dataclass(frozen=True)
 class PointingPartition:
-    """Partition of the pointings into cells: pointings of the same places (stations, targets or instruments).
+    """Partition of the pointings into cells. All pointings of a cell belong to the same places (stations, targets...).
 
     A sum over the pointings of a place, where empirical laws (functions of covariates) act, is a sum over its cells.
     """
 
     pointing_order: Ints
-    """Indices (n,) of the n pointings, sorted by cell (pointings of the same places)."""
+    """Indices (n,) of the n pointings, sorted by cell (set of pointings that belong to the same places)."""
     cell_edges: Ints
-    """Limits (cells + 1,) in `pointing_order` of the cells (pointings of the same places): starts, and end of the
-    last."""
+    """Limits (cells + 1,) of the cells (pointings of the same places) in `pointing_order`: start of each cell, then end
+    of the last."""
     is_cell_in_place: sp.csr_array
-    """Indicators (P, cells) of the cells (groups of pointings) that belong to each of P places (stations, targets or
+    """Indicators (P, cells), 1 for the cells (sets of pointings) that belong to each of P places (stations, targets or
     instruments)."""
 
     @classmethod
@@ -94,9 +94,10 @@ class PointingPartition:
             yield part, self.pointing_order[part], here
 
     def sums_over_places(self, cell_sums: Any) -> Any:
-        """Sums (P, ...) over the pointings of each of P places (stations, targets or instruments).
+        """Sums (P, ...) over the pointings of each of P places, from sums over cells.
 
-        `cell_sums` (cells, ...) are the sums over the cells (pointings of the same places).
+        A place is the stations, targets or instruments where a law acts. `cell_sums` (cells, ...) are the sums over the
+        cells (pointings of the same places).
         """
         return (self.is_cell_in_place @ cell_sums.reshape(len(cell_sums), -1)).reshape(-1, *cell_sums.shape[1:])
 
@@ -176,8 +177,7 @@ class LawBatch:
     """Design columns of the regressors (functions of covariates), which batches of laws with the same regressors and
     places share."""
     log_prior_by_place: Floats
-    """Log prior probability (P,) of one empirical law (function of covariates) at each of P places (stations,
-    targets)."""
+    """Log prior probability (P,) of each law (function of covariates) at each of P places (stations, targets)."""
     _cached_eigen_decompositions: dict[int, list[tuple[Floats, Floats32]]] = field(default_factory=dict, repr=False)
     """Eigen decompositions of Gram matrices scaled by prior standard deviations, by the first index of their range of
     regressors (functions of covariates)."""

@@ -67,8 +67,8 @@ CHANGED_PARTS_BY_REGRESSOR_KIND = dict.fromkeys(("product", *REGION_REGRESSOR_KI
     "room": ("target",)
 }
 """Kinds of changed quantities (`Response.changed_part`) that are combined with a kind of regressor (function of
-covariates); any other kind of regressor is combined with all. The omitted combinations would be many, and hardly
-physical."""
+covariates). Regressors of a kind that is no key are combined with all. The omitted combinations would be many, and
+hardly physical."""
 WAVE_COVARIATES_FOR_NON_READING_RESPONSES = (*CLOCK_COVARIATES, *ACCUMULATED_ROTATIONS)
 """Covariates of the waves that are tried for changed quantities that are no readings: times, and accumulated rotations
 of the axes."""

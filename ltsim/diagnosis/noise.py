@@ -92,8 +92,7 @@ class NoiseHypothesisSet:
     """Matrix (g, m) that maps m observations to g means of repeated readings, first in each face and then in both
     faces."""
     parameter_basis: Floats | None
-    """Orthonormal basis (m, u) of the changes of m observations by u estimated parameters; None in a network that is
-    too large for a basis."""
+    """Orthonormal basis (m, u) of the changes of m observations by u estimated parameters; None for a large network."""
     group_noise_hypotheses: tuple[GroupNoiseHypothesis, ...]
     """Noise hypotheses with a size for each group of readings: noise level, noise by target and by station, noise in
     intervals of time."""
@@ -142,8 +141,9 @@ class NoiseHypothesisSet:
     def log_evidence_by_family(self, residual: Floats | Floats32, redundancy: Floats) -> Floats:
         """Log evidence (families, trials), with priors, of all kinds of changed noise, with independent readings.
 
-        The first rows of the result belong to `family_names`, the others to `group_noise_hypotheses`. `residual` (m,
-        trials) are m whitened residuals of each recording (trial), and `redundancy` (m,) the redundancy numbers.
+        The first rows of the result belong to `family_names`, all following rows to `group_noise_hypotheses`.
+        `residual` (m, trials) are m whitened residuals of each recording (trial), and `redundancy` (m,) the redundancy
+        numbers.
         """
         slices = batches(residual.shape[1], len(residual))
         return np.hstack(

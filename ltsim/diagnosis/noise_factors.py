@@ -33,8 +33,8 @@ class VariancePatternGroup:
     """Index (h,), in ascending order, of the pattern (added variance of each reading per unit of a size) of each of h
     hypotheses."""
     sizes: Floats32
-    """Size (h,) of each of h noise hypotheses (changed noise levels); the variance factor of an observation is 1 plus
-    the size times its added variance."""
+    """Size (h,) of each of h hypotheses of changed noise. The variance factor of an observation is 1 plus the size
+    times its added variance."""
     row_indices: Ints | slice
     """Indices (r,) of the r observation equations of dense patterns (added variance of each reading per unit of a
     size); all equations for sparse patterns."""
@@ -75,7 +75,7 @@ class VariancePatternGroup:
         return row_indices[changed_indices], log_factors[0, changed_indices].astype(np.float64)
 
     def _log_variance_factors_of(self, member_range: slice) -> Floats32 | sp.csr_array:
-        """Logs (h, r) of the variance factors of r observations by the h hypotheses in a range of this group."""
+        """Logs (h, r) of the variance factors of r observations by the h hypotheses in `member_range`."""
         added_variance, sizes = (
             self.added_variance[self.pattern_indices[member_range]],
             self.sizes[member_range],
@@ -87,7 +87,7 @@ class VariancePatternGroup:
 
 
 def _relative_precision_loss(log_variance_factors: Floats32 | sp.csr_array) -> Floats32 | sp.csr_array:
-    """Relative loss 1 - 1/s of precision by variance factors s, from logs (h, r) of s for h hypotheses."""
+    """Relative loss of precision, 1 - 1/s, by variance factors s of h hypotheses, from the logs (h, r) of s."""
     if isinstance(log_variance_factors, np.ndarray):
         return -np.expm1(-log_variance_factors)
     return sp.csr_array(
@@ -97,8 +97,8 @@ def _relative_precision_loss(log_variance_factors: Floats32 | sp.csr_array) -> F
 
 
 VariancePatternWithSizes = tuple[Floats, tuple[float, ...]]
-"""Pattern of added variance: its values for the first observation equations per unit of the size, and the sizes of the
-hypotheses with this pattern."""
+"""Pattern of added variance (per unit of a size) of the first observation equations, and the sizes of the hypotheses
+with this pattern."""
 
 
 @dataclass(frozen=True)

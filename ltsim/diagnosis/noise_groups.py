@@ -59,7 +59,7 @@ class GroupNoiseHypothesis:
         return self.effect.name
 
     def log_evidence_by_group(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence (g, trials) that the noise of each of g groups differs from the declared noise.
+        """Log evidence (g, trials) that the noise of a group differs from the declared noise, for each of g groups.
 
         It is averaged over variance factors. `residual` (m, trials) are m whitened residuals of each recording (trial),
         and `redundancy` (m,) their redundancy numbers.
@@ -121,9 +121,11 @@ class RecordingNoiseLevel(GroupNoiseHypothesis):
 
     @classmethod
     def from_residual_space(cls, space: ResidualSpace, *, allows_noise_below_declared: bool) -> RecordingNoiseLevel:
-        """Noise level of a recording, from the residual space (projected equations) of its adjustment.
+        """Hypothesis on the noise level of a recording, from the residual space of its adjustment.
 
-        It is below the declared level only if `allows_noise_below_declared`.
+        The level is below the declared one only if `allows_noise_below_declared`.
+
+        The level is below the declared one only if `allows_noise_below_declared`.
         """
         level, kind = NoiseLevel(), np.nonzero(space.is_used_reading)[1]
         group_indicators = sp.csr_array(

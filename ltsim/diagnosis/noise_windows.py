@@ -51,7 +51,7 @@ NOISY_OBSERVABLE_SET_INDICATORS = np.array(
 
 @dataclass(frozen=True)
 class NoiseWindows(GroupNoiseHypothesis):
-    """Larger noise in time windows; a group of readings is one observable in one step of a Markov chain.
+    """Larger noise in time windows, with a separate size for each observable in each step of a Markov chain.
 
     The chain is quiet or noisy in each step of time.
     """

@@ -36,9 +36,11 @@ standard deviation of such a matrix is sqrt(2 / 200), 10 %."""
 
 @dataclass(frozen=True)
 class NullEnsemble:
-    """Ensemble of vectors (residuals, simulated residuals, basis) for scores and Gram matrices of design matrices.
+    """Residuals of the recording and of simulations, and a basis, side by side, for products with designs.
 
-    The scores of a design matrix are its products with the residuals of the recording and of simulated recordings.
+    The products with residuals are the scores of a design matrix. The products with the basis give its Gram matrix.
+
+    The products with residuals are the scores of a design matrix. The products with the basis give its Gram matrix.
     """
 
     residual_space: ResidualSpace
@@ -138,7 +140,7 @@ class NullEnsemble:
 
 
 def parameter_basis_of_small_network(space: ResidualSpace) -> Floats | None:
-    """Orthonormal basis (m, u) of changes of m observations by u parameters; None above `MAX_DENSE_UNKNOWNS`."""
+    """Orthonormal basis (m, u) of changes of m observations by u parameters; None in a large network."""
     projector = space.projector
     is_small = isinstance(projector, BasisResidualProjector) and projector.basis.shape[1] <= MAX_DENSE_UNKNOWNS
     return projector.basis if isinstance(projector, BasisResidualProjector) and is_small else None

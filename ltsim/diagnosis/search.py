@@ -126,7 +126,7 @@ class Searcher:
         return N_EXACTLY_EVALUATED_IN_LARGE_NETWORK if self.uses_fewer_evaluations else N_EXACTLY_EVALUATED_HYPOTHESES
 
     def without_rows(self, rows: Ints) -> Searcher:
-        """Search without f observation equations `rows` (f,), with as few exact evaluations as in large networks.
+        """Search that does not use f observations `rows` (f,), with as few exact evaluations as in large networks.
 
         It is equivalent to a search that also estimates an error of each of these observations. The best laws of each
         kind are not evaluated, to save time. Gram matrices of all observations are still used.
@@ -283,7 +283,7 @@ class Searcher:
         return coefficient_posterior(gram, score, law.plausible_sizes)[:2]
 
     def model_with(self, hypotheses: Sequence[Hypothesis]) -> EffectModel:
-        """Model (set of effects, with their residuals) with the given hypotheses."""
+        """Model that consists of the given hypotheses, with the residuals after their estimation."""
         if not hypotheses:
             return self.empty_model
         designs, norms = zip(*map(self._projected_design, hypotheses), strict=True)

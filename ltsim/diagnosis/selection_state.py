@@ -187,7 +187,7 @@ class SelectionState:
         return self._with_attributes(baseline_adjustment=baseline)._with_space_of_refit()
 
     def _with_attributes(self, **attributes: object) -> SelectionState:
-        """Copy of the selection state with other attributes, and with the design matrices of its search, if any."""
+        """Copy of the selection state with other attributes; a search in it keeps its design matrices."""
         searcher: Searcher | None = vars(self).get("searcher")  # no search is started for its design matrices alone
         designs = self.earlier_catalogue_designs if searcher is None else searcher.catalogue_designs
         return replace(self, earlier_catalogue_designs=designs, **attributes)  # type: ignore[arg-type]

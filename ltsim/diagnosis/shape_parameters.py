@@ -171,7 +171,7 @@ def _index_and_duration_of_gap(effect: CandidateEffect, sightings: Sightings) ->
 
 
 def _distinct_neighbours(effect: CandidateEffect, sightings: Sightings) -> list[CandidateEffect]:
-    """Effect and its neighbours (slightly different effects), one for each place and gap between pointings.
+    """Effect and slightly different effects, one for each place and each gap between consecutive pointings.
 
     Each gap has then the same weight.
     """
@@ -190,7 +190,7 @@ def shape_parameter_nodes(
     *,
     uses_search_prior: bool = False,
 ) -> list[ShapeParameterNode]:
-    """Nodes of a grid over the shape parameters of an effect, and over neighbouring effects (other gap or place).
+    """Nodes of a grid over the shape parameters of an effect, and over slightly different effects.
 
     The result is empty for an effect without shape parameters and neighbours. The grid is finer around the shape
     parameters of `effect`. `shape_parameter_sigmas` are the standard deviations [SI] of these parameters by name. The

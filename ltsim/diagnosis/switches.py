@@ -166,7 +166,7 @@ def _span_differences(step_values: Floats) -> Floats:
 
 
 def _best_span_states(spans: SpanGramAndScore, plausible_sizes: Floats) -> tuple[Bools, float, int]:
-    """States (S,) of S spans of a covariate, on or off, with the largest evidence, and two numbers.
+    """States (S,), on or off, of S intervals of a covariate with the largest evidence, and two numbers.
 
     The numbers are the log evidence and the number of intervals that were switched on or off one after another. Each of
     these intervals reduces the log evidence by the log of the number of all intervals.

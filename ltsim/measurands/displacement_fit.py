@@ -46,7 +46,7 @@ class WhitenedDifferences:
 
     @cached_property
     def motion_design(self) -> Floats:
-        """Whitened design of the free motions (rigid motions of all points), shape (m whitened rows, free motions)."""
+        """Whitened derivatives (m, motions) of the differences by the free motions (rigid motions of all points)."""
         return self.whitening_root @ self.free_motions
 
     def point_coordinate_indices(self, points: Sequence[int]) -> Ints:
@@ -102,7 +102,7 @@ class WhitenedDifferences:
         """Points of `moved` whose displacement reduces the sum of squared residuals by at least `limit`.
 
         The points are tested one by one, with the displacements of the others in the model; the least significant
-        leaves first.
+        displacement is removed first.
         """
         values, covariance = self.fit(moved).displacements
         remaining_points = list(moved)
@@ -127,7 +127,7 @@ class PointTests:
     axes)."""
     right_sides: Floats
     """Right sides of the normal equations of the points, shape (N, axes): products of the residuals of the fit with the
-    design columns of each point, without the part of these columns that the fit contains."""
+    design columns of each point, after projection of these columns onto the residuals."""
     column_norms: Floats
     """Norm of the design column of each coordinate after elimination of the free motions, shape (N, axes); 0 for an
     undetermined coordinate."""

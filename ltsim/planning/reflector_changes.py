@@ -74,9 +74,9 @@ ChangeKind = Literal["move", "add", "remove"]
 CHANGE_KINDS: tuple[ChangeKind, ...] = get_args(ChangeKind)
 """Kinds of changes of a reflector: move, add, remove."""
 ReflectorChangeResult = tuple[float, int | None, int | None, Floats]
-"""Result of a change of a reflector, four values: ratio of the objective after the change to that before; index of the
-removed or moved reflector (None for an addition); index of its new position (None for a removal); normal matrix (K, K)
-after the change, for K unknowns without targets."""
+"""Result of a change of a reflector, four values: objective after the change divided by the objective before; index of
+the removed or moved reflector (None for an addition); index of its new position (None for a removal); normal matrix (K,
+K) after the change, for K unknowns without targets."""
 
 
 @dataclass(frozen=True)

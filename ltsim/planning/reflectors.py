@@ -28,13 +28,13 @@ twice."""
 
 @dataclass(frozen=True)
 class NormalMatrixTerms:
-    """Terms of the normal matrix of the K unknowns that remain after elimination of targets: poses, gauge, parameters.
+    """Terms of the normal matrix of K unknowns (poses, gauge, parameters) after elimination of the targets.
 
     One term belongs to the fixed targets, and one to a reflector at each of P candidate places.
     """
 
     scorer: LayoutScorer
-    """Evaluator of layouts whose targets are the fixed ones, followed by reflectors at all candidate positions
+    """Evaluator of layouts whose targets are the fixed targets, followed by reflectors at all candidate positions
     (places)."""
     fixed_normal_matrix: Floats
     """Normal matrix (K, K) of K unknowns by the fixed targets, reference lengths, priors and datum."""
@@ -113,7 +113,7 @@ class NormalMatrixTerms:
         )
 
     def point_error_by_name(self, normal_matrix: Floats, place_indices: Ints) -> dict[str, float]:
-        """Point error [m] of each fixed target, and of reflectors at the places with these indices, by name.
+        """Point error [m] of each fixed target, and of the reflectors at the places `place_indices`, by name.
 
         `normal_matrix` (K, K) is that of the layout, for K unknowns.
         """
@@ -179,7 +179,7 @@ class ReflectorPlaces:
     place_names: tuple[str, ...]
     """Name that a reflector gets at each of the P places."""
     n_present_places: int
-    """Number of places, the first of all, where there is a movable reflector at present."""
+    """Number of places with a movable reflector at present; they are the first in the list of places."""
     is_visible: Bools
     """Flags (S, k + P): True where a station sees a target, for S stations and k fixed targets followed by P places."""
     normal_matrix_terms: NormalMatrixTerms

@@ -115,7 +115,7 @@ class FactorResidualProjector:
     _inverse_column_norms: Floats = field(repr=False)
     """Reciprocal norms (u,) of the u columns of `design`."""
     _stored_blocks: dict[bytes, Floats] = field(default_factory=dict, repr=False)
-    """Stored submatrices (r, r) of the projector on r rows, by the bytes of the row indices."""
+    """Stored submatrices (r, r) of the projector for sets of r rows, by the bytes of the row indices."""
 
     @classmethod
     def from_design(cls, design: DesignMatrix, normal_equations: FactorisedNormals) -> FactorResidualProjector:

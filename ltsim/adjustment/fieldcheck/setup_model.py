@@ -256,7 +256,7 @@ def _initial_state(recording: Recording, row_mask: Bools) -> NetworkState:
 
 
 def _orthonormal_by_target(columns: Floats, target: Ints, n_targets: int) -> tuple[Floats, int]:
-    """Orthonormal bases (n, 3, 3) of the design columns of each target, and the sum of their ranks.
+    """Orthonormal bases (n, 3, 3) of the design columns of each target, and the sum of the ranks of all targets.
 
     The first two axes are the readings of n pointings, the last axis counts the basis vectors of the target of the
     pointing. `columns` (n, 3, 3) are the whitened changes of the readings per unit of the coordinates of the target.

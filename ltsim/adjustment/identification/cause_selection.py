@@ -96,7 +96,7 @@ class SelectedHypothesis:
 
     @property
     def is_certain(self) -> bool:
-        """True if the gain of log evidence exceeds `MIN_LOG_EVIDENCE_CERTAIN`, or if a reflector was displaced.
+        """True if the gain of log evidence exceeds `MIN_LOG_EVIDENCE_CERTAIN`, or for a displaced reflector.
 
         Readings to a displaced reflector are wrong in any case: without this hypothesis they are outliers.
         """

@@ -164,7 +164,7 @@ class NetworkFit:
 
     @property
     def shifts_with_slices(self) -> Iterator[tuple[CauseHypothesis, ReadingShiftChange, slice]]:
-        """Hypotheses on shifts of readings, each with its model change and the slice of its parameters in the state."""
+        """Hypotheses that shift readings, each with its change of the model and the slice of its parameters."""
         start = 0
         for h in self.hypotheses:
             if isinstance(h.model_change, ReadingShiftChange):

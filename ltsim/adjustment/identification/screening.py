@@ -131,7 +131,7 @@ def _best_onset_per_place(
 
 
 def _projected_log_evidence_gains(residual_space: ResidualSpace, candidates: Sequence[ShiftCandidate]) -> Floats:
-    """Gains (h,) of log evidence by h candidate shifts, from residuals after projection off all unknowns of a fit."""
+    """Gains (h,) of log evidence by h candidate shifts, from residuals of a fit and projected design columns."""
     gains = np.full(len(candidates), -np.inf)
     indices = np.arange(len(candidates))
     n_entries = np.array([residual_space.n_equations * c.family.design.shape[2] for c in candidates], dtype=np.int64)

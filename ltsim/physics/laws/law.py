@@ -40,8 +40,7 @@ is an error of the vertical index."""
 MAX_CANDIDATE_STEP_POSITIONS = 41
 """Largest number of positions (values of a covariate) that a diagnosis tries for a step or ramp of an error law."""
 PARTS_SEPARATE_BY_SETUP = ("reading", "instrument", "circle", "stand")
-"""Parts of the measurement (`Response.changed_part`) for whose errors a diagnosis tries separate coefficients in each
-set-up."""
+"""Parts of the measurement (`Response.changed_part`) whose errors may have separate coefficients in each set-up."""
 MAX_CANDIDATE_SWITCH_EDGES = 60
 """Largest number of values of a covariate that a diagnosis tries for turning an error on or off."""
 MAX_STEPS_IN_MOVED_LAW = 4
@@ -223,7 +222,7 @@ class EmpiricalLaw(CandidateEffect):
         return movable_factors[0] if movable_factors and self.regressor.hall_region is None else None
 
     def _with_moved_steps(self, sightings: Sightings, steps: Regressor) -> list[EmpiricalLaw]:
-        """Copies of the law with one of `steps` at another gap between values of the covariate, or with another lag."""
+        """Copies of the law with one of its `steps` one gap between covariate values further, or with another lag."""
         x = np.unique(sightings.covariate_values[steps.covariates[0]][self.pointing_indicator(sightings) > 0])
         gaps = np.searchsorted(x, [piece.constant for piece in steps.factors])
         laws = []
@@ -239,7 +238,7 @@ class EmpiricalLaw(CandidateEffect):
         return laws + [self._with_replaced_factor(steps, replace(steps, constant=k)) for k in _candidate_lags(steps)]
 
     def _with_replaced_factor(self, old_factor: Regressor, new_factor: Regressor) -> EmpiricalLaw:
-        """Copy of the law with `new_factor` in place of `old_factor`, its whole function or one of its factors."""
+        """Copy of the law with `new_factor` in place of `old_factor` (its whole function or one of its factors)."""
         if self.regressor == old_factor:
             return replace(self, regressor=new_factor)
         factors = tuple(new_factor if factor == old_factor else factor for factor in self.regressor.factors)

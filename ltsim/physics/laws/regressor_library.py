@@ -159,7 +159,7 @@ def _varying_covariates(sightings: Sightings, covariates: Iterable[str]) -> list
 
 
 def is_physically_possible(changed_part: str, regressor: Regressor, sightings: Sightings) -> bool:
-    """True if an error of the part `changed_part` of the measurement can physically depend on `regressor`."""
+    """True if an error in the part `changed_part` of the measurement can physically depend on `regressor`."""
     names = [*regressor.covariates, *(n for f in regressor.factors if f.kind != "field" for n in f.covariates)]
     permitted_names = PERMITTED_COVARIATES_BY_AFFECTED_PART.get(changed_part, ())
     return changed_part == "reading" or all(
@@ -243,7 +243,7 @@ def contains_several_targets(region: HallRegion, sightings: Sightings) -> bool:
 
 
 def temporary_region_regressors(sightings: Sightings, function: str = "") -> Iterator[Regressor]:
-    """Functions of covariates for regions of the hall that act for a part of the time; `function` as in `Regressor`."""
+    """Functions of covariates for regions of the hall that act during a part of the time, of a given `function`."""
     time, regions = np.unique(sightings.time), candidate_regions(sightings, TEMPORARY_REGION_SHAPES)
     if len(time) < MAX_SEPARATE_AMOUNTS or not regions:
         return

@@ -65,7 +65,7 @@ def name_without_memory_prefix(covariate: str) -> str:
 
 
 def covariate_names_in_files(covariates: Iterable[str]) -> tuple[str, ...]:
-    """Names in files of the given covariates; all that depend on earlier motions of the head are called `approach`."""
+    """Names, in files, of the given covariates; `approach` stands for all that depend on earlier motions."""
     memory = {
         name
         for name in covariates
@@ -122,8 +122,7 @@ class Regressor:
     it is the order of the polynomial.
     """
     factors: tuple[Regressor, ...] = ()
-    """Regressors of which this one consists: the factors of a product, the steps and ramps of a sum, or the steps of
-    a switch."""
+    """Regressors that compose this one: factors of a product, steps and ramps of a sum, or steps of a switch."""
     field_or_amount_targets: tuple[str, ...] = ()
     """Names of targets: those whose mean position is the origin of a polynomial of the position (`field`), or those
     with separate values; empty for all."""

@@ -80,8 +80,8 @@ _CHAIN_ERROR_RESPONSES = {
     "beam-vertical": Response("vertical beam offset", "um", PLAUSIBLE_LENGTH_ERROR, ("elevation",)),
     "beam-tilt": Response("beam tilt", "urad", PLAUSIBLE_ANGLE_ERROR, ("azimuth",)),
 }
-"""Responses (quantities that an empirical law changes) for each instrument constant, by the key of this constant in the
-kinematic chain, such as `beam-tilt`."""
+"""Responses (quantities that an empirical law changes) that are instrument constants, by the name of the constant in
+the kinematic chain, such as `beam-tilt`."""
 _ECCENTRICITY_RESPONSES = {
     Response(
         f"{effect.observables[0]} eccentricity",

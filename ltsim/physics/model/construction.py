@@ -357,7 +357,7 @@ def construction_with_dh_orders(name: str, max_order: int, degree: int) -> Geome
 
 
 def construction_for_parameters(name: str, parameters: Iterable[str]) -> GeometricErrorModel:
-    """Geometric error model by name; ``dh`` with the lowest orders of its series that include all `parameters`."""
+    """Geometric error model by name; for ``dh`` the smallest orders of its series that include all `parameters`."""
     if name != "dh":
         return make_construction(name)
     ends = [p.rpartition("_") for p in parameters]

@@ -130,7 +130,7 @@ MAX_LEGEND_STATIONS = 8
 MAX_LEGEND_NAME_LENGTH = 20
 """Largest length of the name of a station in a legend [characters]."""
 AXES_HEIGHT_FRACTION_BELOW_LEGEND = 0.86
-"""Fraction of the height of the axes that remains below a legend inside them."""
+"""Fraction of the height of the axes that stays free below a legend inside the axes."""
 
 
 @style.with_figure_style
