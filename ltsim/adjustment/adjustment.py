@@ -343,7 +343,7 @@ class Adjustment(Result):
         covariance = self.covariance_submatrices(self.problem.unknowns.pose_columns)
         anchors = self.problem.undetermined_unknowns.datum_stations
         if self.datum is None and len(anchors) == 1:  # without the variance of the numerical constraints of the datum
-            directions = self.problem.datum_directions(self.state)
+            directions = self.problem.free_motions_at_datum_stations(self.state)
             variable = np.round(np.eye(6) - np.linalg.pinv(directions) @ directions, 12)
             covariance[anchors] = variable @ covariance[anchors] @ variable
         held = self.problem.undetermined_unknowns.fixed_pose_components

@@ -167,7 +167,7 @@ def adjustment_warnings(adjustment: Adjustment) -> tuple[str, ...]:
     slips = _undecided_target_sentences, _blunder_sentences, _duplicate_target_sentences, _centring_sentences
     kinds = (
         _cause_sentences,
-        _reference_sentences,
+        _reference_value_sentences,
         _motion_sentences,
         _declared_position_sentences,
         *slips,
@@ -189,7 +189,7 @@ def network_warnings(adjustment: Adjustment) -> tuple[str, ...]:
     return tuple(doubt for kind in kinds for doubt in kind(adjustment))
 
 
-def _reference_sentences(adjustment: Adjustment) -> Iterator[str]:
+def _reference_value_sentences(adjustment: Adjustment) -> Iterator[str]:
     """Sentences on reference values that contradict the other observations."""
     candidates = (*adjustment.rejected_references, *adjustment.axes_point_tests)
     sentences = [

@@ -198,7 +198,7 @@ def reference_tests(
     return tests
 
 
-def scaled_reference_tests(
+def reference_tests_with_estimated_noise(
     problem: NetworkProblem, solution: Solution[NetworkState], min_residual: float = 0.0
 ) -> list[ReferenceTest]:
     """Tests of reference values as by `reference_tests`, with standard deviations for the estimated noise."""
@@ -242,7 +242,7 @@ def reference_tests_with_instrument_constants(
         other_solution = solve(with_shape_parameters, state)
         if passes_global_test(with_shape_parameters, other_solution):
             tested, tested_solution = with_shape_parameters, other_solution
-    tests = scaled_reference_tests(tested, tested_solution)
+    tests = reference_tests_with_estimated_noise(tested, tested_solution)
     residuals = {(value.kind, value.name): value.residual for value in reference_values(problem, solution.x)}
     return tuple(replace(test, residual=residuals.get((test.kind, test.name), test.residual)) for test in tests)
 

@@ -171,7 +171,7 @@ def cell_label(factors: Sequence[Factor], level_by_factor: Mapping[str, Any]) ->
     return ", ".join(f"{f.name} = {f.level_text(level_by_factor[f.name])}" for f in factors) or "as the scenario says"
 
 
-def with_shared_values(model: ModelType, base: ModelType) -> ModelType:
+def with_equal_values_from(model: ModelType, base: ModelType) -> ModelType:
     """Copy of `model`, a scenario or a table of one, that refers to the objects of `base` wherever values are equal.
 
     The scenarios of thousands of cells (combinations of factor levels) then take little more memory than one scenario.
@@ -182,7 +182,7 @@ def with_shared_values(model: ModelType, base: ModelType) -> ModelType:
         if repr(value) == repr(base_value):  # -0.0 equals 0.0, but the digest of a cell distinguishes them
             shared_values[name] = base_value
         elif isinstance(value, BaseModel) and type(value) is type(base_value):
-            shared_values[name] = with_shared_values(value, base_value)
+            shared_values[name] = with_equal_values_from(value, base_value)
         elif isinstance(value, dict):
             shared_values[name] = {
                 key: base_value[key] if key in base_value and repr(base_value[key]) == repr(entry) else entry

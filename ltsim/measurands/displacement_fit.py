@@ -86,7 +86,7 @@ class WhitenedDifferences:
                 tests.right_sides - np.einsum("bna,b->na", change, added.T @ self.observations),
                 tests.column_norms,
             )
-        return self._without_insignificant(moved, limit)
+        return self._without_insignificant_displacements(moved, limit)
 
     def _residual_basis(self, basis: Floats, point: int, column_norms: Floats) -> Floats:
         """Orthonormal basis (m, k) of the k columns of a point without their part in the space of `basis` (m, q)."""
@@ -98,7 +98,7 @@ class WhitenedDifferences:
         vectors, sizes, _ = np.linalg.svd(columns, full_matrices=False)
         return np.asarray(vectors[:, sizes > NORMAL_EQUATIONS_TOLERANCE])
 
-    def _without_insignificant(self, moved: list[int], limit: float) -> list[int]:
+    def _without_insignificant_displacements(self, moved: list[int], limit: float) -> list[int]:
         """Points of `moved` whose displacement reduces the sum of squared residuals by at least `limit`.
 
         The points are tested one by one, with the displacements of the others in the model; the least significant

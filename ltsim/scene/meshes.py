@@ -44,7 +44,7 @@ N_RANDOM_POINTS_PER_NEST_AREA = 12.0
 closer to each other than this spacing, only the first becomes a nest."""
 MAX_RANDOM_SURFACE_POINTS = 20_000
 """Largest number of random points that are drawn on a body as possible positions of nests."""
-MERGE_DECIMALS = 8
+CORNER_DECIMALS = 8
 """Number of decimals of coordinates [m] to which corners of triangles are rounded to merge equal corners."""
 UNIT_CUBE_TRIANGLES = np.array(list(product((-0.5, 0.5), repeat=3)))[
     [1, 3, 0, 4, 1, 0, 0, 3, 2, 2, 4, 0, 1, 7, 3, 5, 1, 4, 5, 7, 1, 3, 7, 2, 6, 4, 2, 2, 7, 6, 6, 5, 4, 7, 5, 6]
@@ -144,7 +144,7 @@ class Obstacles:
         the adjacent triangle. This is exact for regular triangles on a sphere, and too large for strips on a cylinder.
         Sharp edges do not count.
         """
-        points, place = np.unique(np.round(self.triangles.reshape(-1, 3), MERGE_DECIMALS), axis=0, return_inverse=True)
+        points, place = np.unique(np.round(self.triangles.reshape(-1, 3), CORNER_DECIMALS), axis=0, return_inverse=True)
         faces = place.reshape(-1, 3)
         edges = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
         _, kind, often = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
