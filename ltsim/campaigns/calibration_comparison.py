@@ -22,8 +22,8 @@ from ltsim.simulation.simulator import measure_trial
 from ltsim.simulation.verbs import ScenarioSource, scenario
 
 MAX_EQUAL_READING_DIFFERENCE = 1e-6
-"""Largest difference [m, rad] between readings that count as equal. Rounding in a file gives smaller differences; the
-noise of two different recordings gives larger ones."""
+"""Largest difference [m, rad] between readings that count as equal. Rounding in a file causes smaller differences; the
+noise of two different recordings causes larger differences."""
 HELD_OUT_POINT_ERRORS_TABLE = Table(
     "new_points.csv",
     "rms errors, over stations and points, at points that no calibration used, including the noise of new readings",

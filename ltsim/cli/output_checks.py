@@ -315,6 +315,7 @@ RECORDING_OUTPUT = OutputKind(check_recording_folder)
 EMPTY_FOLDER_OUTPUT = OutputKind(check_empty_folder)
 """Kind of output folder that must be new or empty."""
 RESULT_FOLDER_OUTPUT = OutputKind(lambda folder, force: check_writable(folder, is_folder=True))
-"""Kind of output folder that is only checked for write permission here; the command checks the files to be replaced."""
+"""Kind of output folder of which ltsim checks only the write permission here; the command checks files to be replaced.
+"""
 FILE_OR_FOLDER_OUTPUT = OutputKind(lambda path, force: check_writable(path, is_folder=path.is_dir()))
 """Kind of output that is a file or a folder, depending on other options; only write permission is checked."""

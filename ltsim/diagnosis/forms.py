@@ -41,9 +41,9 @@ RIGID_MOTION_REGRESSOR = Regressor("field", COORDINATE_COVARIATES, constant=1.0)
 """Regressor (function of covariates) (function of the coordinates) for a group of targets that moves and tilts as a
 rigid body."""
 MAX_LOG_EVIDENCE_DIFFERENCE_TO_SINGLE_SET_UP_LAW = 0.5
-"""Largest difference of log evidence between two equivalent empirical laws (errors as functions of covariates): one at
-all set-ups, and the same one at one set-up. Equivalent laws differ only by poses of the other set-ups; only the law at
-the one set-up is retained."""
+"""Largest difference of log evidence between an empirical law (error as a function of covariates) at all set-ups and
+the same law at one set-up that count as equivalent. Equivalent laws differ only by poses of the other set-ups; only the
+law at one set-up is retained."""
 
 
 def min_log_evidence_for_forms(best_evidence: float) -> float:

@@ -162,7 +162,8 @@ class HypothesisRanking:
     hypotheses: tuple[Hypothesis, ...]
     """Hypotheses in the order of decreasing log evidence."""
     total_log_evidence: float
-    """Log of the sum of the evidence of all hypotheses; only the first ones are evaluated without approximation."""
+    """Log of the sum of the evidence of all hypotheses, of which only the most probable are evaluated without
+    approximation."""
     log_evidence_of_unmodelled_cause: float = -np.inf
     """Log evidence of a cause that is no hypothesis of the ranking; minus infinity if it is not considered."""
     log_evidence_of_no_cause: float = 0.0

@@ -112,7 +112,7 @@ class InstrumentConstantChange:
     reference_text: str
     """Name, shown to users, of the reference with which the instrument constant is compared."""
     added_variance_grid: Floats | float = 0.0
-    """Possible additions (s,), or a single one, to the expected variance, divided by the squared specification."""
+    """Possible additional variances (s,), or a single one, of the constant, divided by the squared specification."""
     log_variance_weights: Floats | float = 0.0
     """Natural logarithms of the prior weights of each value of `added_variance_grid`."""
 

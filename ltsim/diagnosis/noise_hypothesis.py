@@ -51,7 +51,7 @@ class NoiseHypothesis:
         return min(self.log_evidence - 0.5 * self.chi2_drop, self.log_prior)
 
     def sum_with(self, added_change: NoiseHypothesis) -> NoiseHypothesis:
-        """Sum of this hypothesis of changed noise and a further one with the same effect: their sizes are added."""
+        """Sum of this hypothesis of changed noise and another one with the same effect: the sizes are added."""
         return replace(
             self,
             sizes=tuple(a + b for a, b in zip(self.sizes, added_change.sizes, strict=True)),

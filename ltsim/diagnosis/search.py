@@ -395,6 +395,6 @@ class Searcher:
 
 
 def _best_model(models: Sequence[EffectModel]) -> EffectModel:
-    """Model with the largest log evidence; the first one if several are equal."""
+    """Model with the largest log evidence; of several equal models the first."""
     most = max(model.penalised_log_evidence for model in models)
     return next(model for model in models if model.penalised_log_evidence >= most - NORMAL_EQUATIONS_TOLERANCE)

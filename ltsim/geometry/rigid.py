@@ -306,7 +306,7 @@ def _alignment_residual_distances(points: Floats, goal_points: Floats, rigid_mot
 
 
 def _sum_of_log_distances(distances: Floats) -> Floats:
-    """Sum (...) of the logarithms of n distances (..., n) [m]; smaller ones count as `MAX_OUTLIER_FREE_MISFIT`.
+    """Sum (...) of the logarithms of n distances (..., n) [m], each at least `MAX_OUTLIER_FREE_MISFIT`.
 
     An alignment with a few large and many small distances has a smaller sum than one with all distances of medium size.
     """

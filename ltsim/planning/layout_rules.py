@@ -303,7 +303,7 @@ class NestAimRule(LayoutRule):
     """Largest horizontal distance [m] of an instrument from its planned position."""
 
     def violations(self, position: Floats, is_visible: Bools) -> Bools:
-        """Flags (B, k): True for a fixed nest that cannot be aimed at all stations."""
+        """Flags (B, k): True where a fixed nest cannot be aimed at all stations, for B layouts and k nests."""
         back = position[:, None] - self.target_points[:, None, :]
         range_ = np.linalg.norm(back, axis=3, keepdims=True)
         cosine = np.einsum("btsk,btk->bts", back / range_, narrowest_cone_axes(back / range_, MAX_NEST_AIMING_STEPS))

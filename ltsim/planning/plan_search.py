@@ -273,7 +273,7 @@ class _PlanSearch:
     def _layout_with_smallest_tolerance_ratio(
         self, layouts: list[tuple[float, int, PlannedSurvey]], tolerances: PointTolerances
     ) -> list[tuple[float, int, PlannedSurvey]]:
-        """List with the one of the `layouts` whose largest ratio of point error to tolerance is smallest.
+        """List with the layout whose largest ratio of point error to tolerance is the smallest of all `layouts`.
 
         Each entry of `layouts` is the objective, the number of the initial layout, and the survey.
         """

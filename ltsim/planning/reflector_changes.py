@@ -282,7 +282,7 @@ def _change_sentence(change: ReflectorChangeEntry) -> str:
 
 
 def _best_change_per_place(change_results: list[ReflectorChangeResult]) -> list[ReflectorChangeResult]:
-    """Best change for each new position of a reflector, and all removals; `change_results` has the best ones first."""
+    """Best change for each new position of a reflector, and all removals, from results with the best change first."""
     distinct, places = [], set()
     for change in change_results:
         if change[2] is None or change[2] not in places:

@@ -48,8 +48,8 @@ class NormalMatrixTerms:
     """Inverses (E, 3, 3) of the blocks of the E eliminated targets: fixed targets without those of the gauge, followed
     by reflectors at all places (`LayoutScorer.eliminate_targets`)."""
     elimination_coefficients: Floats
-    """Products (E, 3, K) of the inverse block of each of E eliminated targets and its coupling block with K other
-    unknowns."""
+    """Products (E, 3, K) of two blocks of the normal matrix for each of E eliminated targets: inverse of the target's
+    block, and the block that couples the target with K other unknowns."""
 
     @classmethod
     def from_places(

@@ -217,11 +217,11 @@ class SearchSpace(ValueEquality):
         ]
 
     def connectivity_scores(self, is_visible: Bools) -> Floats:
-        """Score (B,) of B layouts: number of stations connected to the first one, plus a fraction below 1.
+        """Score (B,) of B layouts: number of stations connected to the first station, plus a fraction.
 
         Two stations are connected if they see at least two common targets, directly or through other stations. The
-        fraction grows with the mean number of common targets; at most three count for each pair of stations.
-        `is_visible` (B, S, T) flags the sights from S stations to T targets.
+        fraction is below 1 and grows with the mean number of common targets; at most three count for each pair of
+        stations. `is_visible` (B, S, T) flags the sights from S stations to T targets.
         """
         shared = np.minimum(
             np.einsum("bst,brt->bsr", is_visible, is_visible, dtype=np.int64), MIN_VISIBLE_TARGETS_PER_STATION

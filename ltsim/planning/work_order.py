@@ -19,7 +19,8 @@ from ltsim.planning.planner import PlannedNetwork
 MAX_PLUMB_HEIGHT = 2.2
 """Largest height [m] from which a point is plumbed to the floor; the tape distance to a higher point is straight."""
 MAX_TAPE_DISTANCE = 15.0
-"""Largest distance [m] for a tape or a distance meter; longer ones are used only if there are too few shorter ones."""
+"""Largest distance [m] for a tape or a distance meter; a longer distance is used only if there are too few shorter
+distances."""
 MAX_CONSIDERED_TAPE_MARKS = 16
 """Largest number of marks (end points of tape distances) among which the three marks of a station are selected."""
 MIN_STRENGTH_GAIN_OF_STRAIGHT_DISTANCE = 0.1

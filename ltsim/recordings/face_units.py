@@ -111,7 +111,7 @@ def face_unit_errors(recording: Recording) -> list[FaceUnitError]:
 def _best_face_agreement(
     recording: Recording, candidates: Sequence[ReadingsWithoutError], disagreements: Sequence[float]
 ) -> ReadingsWithoutError:
-    """Candidate with the smallest disagreement of the faces; among equal ones, of the lengths from several stations.
+    """Candidate with the smallest disagreement of the faces; if equal, of the lengths from several stations.
 
     Distances of face 1 in metres and of face 2 in micrometres have the same disagreement, for example.
     """

@@ -97,8 +97,8 @@ SingleLine = Annotated[str, Field(max_length=200), AfterValidator(_require_singl
 Date = Annotated[str, AfterValidator(_require_calendar_date)]
 """Calendar date in ISO format, such as 2026-05-31."""
 MIN_SIGMA = 1e-6
-"""Smallest permitted standard deviation [mm, arcsec or ppm]; a smaller one would make the normal equations inaccurate.
-"""
+"""Smallest permitted standard deviation [mm, arcsec or ppm]; a smaller value would make the normal equations
+inaccurate."""
 Sigma = Annotated[float, Field(ge=MIN_SIGMA, le=1e9, allow_inf_nan=False)]
 """Standard deviation from `MIN_SIGMA` to 1e9."""
 Vector = tuple[Finite, Finite, Finite]

@@ -189,7 +189,7 @@ def shared_target_counts(station: Ints, target: Ints, n_stations: int) -> Ints:
 
 
 def most_shared_target_pairs(station: Ints, target: Ints, n_stations: int) -> list[tuple[int, int]]:
-    """Pairs (earlier, later) of station indices: each station with the earlier one that shares most targets.
+    """Pairs (earlier, later) of station indices: each station with the earlier station that shares most targets.
 
     Pairs with fewer than `MIN_TARGETS_FOR_MIRROR_TEST` common targets are omitted, because these may lie in a plane,
     and the mirror image of a plane is equal to it.

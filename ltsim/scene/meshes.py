@@ -389,7 +389,7 @@ def _is_flat_enough(body_surface: Obstacles, places: Floats, surface_normals: Fl
 
 
 def _thinned_positions(places: Floats, min_spacing: float) -> Floats:
-    """Positions among `places` (n, 3) [m] that are at least `min_spacing` [m] from all earlier ones of the result."""
+    """Positions among `places` (n, 3) [m], each at least `min_spacing` [m] from all earlier ones in the result."""
     chosen: list[int] = []
     for i, place in enumerate(places):
         if not chosen or np.linalg.norm(places[chosen] - place, axis=1).min() >= min_spacing:

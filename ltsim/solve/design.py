@@ -15,7 +15,7 @@ import scipy.sparse as sp
 from ltsim.core.arrays import Bools, Floats, Ints, median
 
 MAX_DENSE_ENTRIES = 600_000
-"""Largest number of entries of a design matrix that is stored as a dense array; larger ones are sparse matrices."""
+"""Largest number of entries of a design matrix that is stored as a dense array; a larger matrix is stored as sparse."""
 
 DESIGN_ROWS_PER_BATCH = 30_000
 """Number of rows of a sparse design matrix that are processed at a time, to limit the memory."""

@@ -179,7 +179,7 @@ class SetupModel:
         )
 
     def p_value(self, fit: AddedColumnsFit) -> float:
-        """p-value of a fitted suspected cause: the larger one of the tests with declared and with estimated noise."""
+        """p-value of a fitted suspected cause: the larger one of two tests, with declared and with estimated noise."""
         if not fit.rank or self.dof <= fit.rank:
             return 1.0
         by_declared = float(special.chdtrc(fit.rank, fit.chi2_drop))

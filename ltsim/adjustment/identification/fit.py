@@ -332,7 +332,7 @@ class NetworkFit:
 
     @cached_property
     def outlier_prediction_error_sigmas(self) -> Floats:
-        """Standard deviations (n, 3) of the prediction errors of rejected readings of n pointings, 1 for other ones.
+        """Standard deviations (n, 3) of the prediction errors of rejected readings of n pointings; 1 for used readings.
 
         The unit is the declared standard deviation of the reading.
         """

@@ -97,7 +97,7 @@ class MeasurementProposal(ValueEquality):
 
     @property
     def distinguishes_all(self) -> bool:
-        """True if the measurement would distinguish all other possible causes from the first one."""
+        """True if the measurement would distinguish every other possible cause from the first possible cause."""
         return bool(self.expected_chi2_differences) and len(self.distinguished_explanations) == len(
             self.expected_chi2_differences
         )

@@ -178,7 +178,7 @@ def _observable_design(sightings: Sightings, observable: str) -> Floats:
 
 
 def _multi_observable_design(sightings: Sightings, response: Response) -> Floats:
-    """Derivatives (n, 3, c) of the raw readings of n pointings with respect to the coefficients of c observables."""
+    """Derivatives (n, 3, c) of the raw readings of n pointings by the coefficients of a response with c observables."""
     component_designs = [
         scale * _observable_design(sightings, name)
         for name, scale in zip(response.observables, response.component_si_per_coefficient, strict=True)

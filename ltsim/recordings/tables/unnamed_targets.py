@@ -28,7 +28,7 @@ MIN_COINCIDENT_POSITIONS = 3
 MAX_COINCIDENT_NAMES_IN_NOTE = 4
 """Largest number of names of targets at one position in a note."""
 MOVING_TARGET_TEXT = "as a moving target gives (on a robot, a T-MAC)"
-"""Phrase on positions without point names."""
+"""Phrase that describes a table of positions without point names."""
 STATION_OF_POSITIONS_ADVICE = (
     "if one station measured them in its frame, name the station: --format table --hint station=NAME"
 )
