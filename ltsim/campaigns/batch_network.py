@@ -73,7 +73,7 @@ def multiply_by_trial(matrix: Floats, columns: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class BatchNetwork(NominalNetwork):
-    """Network with nominal (error-free) readings, with which a batch of trials is adjusted."""
+    """Network linearised at nominal (error-free) readings, for the adjustment of many trials together."""
 
     def gauss_newton_step(self, gradient: Floats) -> Floats:
         """Gauss-Newton step (unknowns, trials); `gradient` is the negative gradient of half the sum of squares."""

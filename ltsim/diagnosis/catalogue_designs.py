@@ -228,9 +228,9 @@ class CatalogueDesigns:
         return cls(touching, effect_groups, names, family_indices, space.n_equations, space.reading_sigmas)
 
     def with_weights_of(self, new_space: ResidualSpace) -> CatalogueDesigns:
-        """Copy of the designs with the weights of another adjustment of the same readings.
+        """Copy of the designs with the weights of the readings in another adjustment of the same recording.
 
-        `new_space` has the whitened equations of that adjustment; its slightly different poses are not used.
+        `new_space` is the residual space of that adjustment. Its slightly different poses are neglected.
         """
         ratio = np.ones(new_space.n_equations, dtype=np.float32)
         is_used = new_space.is_used_reading

@@ -175,7 +175,7 @@ class SelectedModelFit:
         return (1.0 - self.rankings_of_alternatives[effect_index].p_no_cause) * (1.0 - p_elsewhere)
 
     def _is_at_single_targets(self, effect_index: int) -> bool:
-        """True if an effect acts on single targets, so that wrong readings in its place are at the same targets.
+        """True if an effect acts on single targets. Wrong readings at its place are then readings to these targets.
 
         `effect_index` is the index of the effect in the model.
         """

@@ -122,10 +122,10 @@ class RegressorColumns:
         self.n_entries_per_regressor = regressors[0].n_columns * len(sightings)
 
     def model_columns(self, regressor_range: slice) -> Floats32:
-        """Columns (n, d k) of the d regressors in `regressor_range`, k columns each, for n pointings.
+        """Columns (n, d k) of the design matrix for d regressors of the batch, k columns each, at n pointings.
 
-        A regressor is a function of covariates to which the error is proportional. The pointings are sorted by place
-        (stations, targets or instruments).
+        A regressor is a function of covariates to which the error is proportional. `regressor_range` selects the
+        regressors. The pointings are sorted by place (stations, targets or instruments).
         """
         if self.n_entries_per_regressor * len(self._regressors) > MAX_CACHED_COLUMN_ENTRIES:
             return self._compute_columns(self._regressors[regressor_range])
@@ -162,17 +162,17 @@ class LawBatch:
     """
 
     responses: tuple[Response, ...]
-    """Quantities (C responses with c components each) that the empirical laws (functions of covariates) change."""
+    """Quantities that the empirical laws (functions of covariates) change: C responses with c components each."""
     regressors: tuple[Regressor, ...]
-    """Functions of covariates, D regressors of k basis functions (such as sine and cosine) each; a law is a linear
+    """Functions of covariates: D regressors with k basis functions each (such as sine and cosine). A law is a linear
     combination of the basis functions of its regressor."""
     places: tuple[LawPlace, ...]
     """Stations, targets or instruments (P places) where the empirical laws (functions of covariates) act."""
     pointing_partition: PointingPartition
     """Partition of the pointings by the stations, targets or instruments (places) where the empirical laws act."""
     whitened_response_designs: Floats32
-    """Whitened change (n, 3, C, c) of the readings of n pointings by the plausible size of each of the c components of
-    C responses (changed quantities)."""
+    """Whitened changes of the readings by a response (changed quantity) of plausible size, (n, 3, C, c): n pointings,
+    three readings, C responses, c components of a response."""
     regressor_columns: RegressorColumns
     """Design columns of the regressors (functions of covariates), which batches of laws with the same regressors and
     places share."""
@@ -184,9 +184,9 @@ class LawBatch:
 
     @cached_property
     def _prior_sigmas(self) -> list[Floats]:
-        """Prior standard deviations (D, c k) of the coefficients of D regressors, one array per length scale.
+        """Prior standard deviations of the coefficients of each regressor, (D, c k); one array per length scale.
 
-        A regressor is a function of covariates with k columns; each response (changed quantity) has c components.
+        The D regressors are functions of covariates with k columns; each response (changed quantity) has c components.
         """
         n_components = self.whitened_response_designs.shape[3]
         return [
@@ -195,11 +195,11 @@ class LawBatch:
         ]
 
     def best_laws_and_log_total_evidence(self, null_ensemble: NullEnsemble) -> tuple[list[ScreenedLaw], float, Floats]:
-        """Empirical laws with the largest evidence at each place, log of the summed evidence of all, and null values.
+        """Laws with the largest evidence at each place, log of the summed evidence of all laws, and null values.
 
         An empirical law describes an error as a function of covariates. A place is the stations, targets or instruments
-        where a law acts. The null values (trials,) are the log of the summed evidence for each simulated recording
-        (trial) of the null ensemble.
+        where a law acts. The null values (trials,) are the log of the summed evidence in each simulated recording of
+        the null ensemble.
         """
         count, size = len(self.regressors), self.regressors[0].n_columns
         products = size * self.whitened_response_designs[0, 0].size * len(self.places)
@@ -222,13 +222,12 @@ class LawBatch:
         return hits, float(log_sum_exp(log_evidences.ravel())), null
 
     def _log_evidence_at_places(self, null_ensemble: NullEnsemble, regressor_range: slice) -> tuple[Floats, Floats]:
-        """Log evidence (P, C, d), with priors, of empirical laws, and their log summed evidence in simulations.
+        """Log evidence of each law (with its prior), and log of the summed evidence in each simulated recording.
 
-        There are C responses (changed quantities) and d regressors (functions of covariates that they follow, those in
-        `regressor_range`), at P places (stations or targets). The second result (trials,) belongs to the simulated
-        recordings (trials). The Gram matrix of a law is not reduced by the effects in the model. It is therefore too
-        large for a law that is correlated with them. The laws with the largest evidence are evaluated again without
-        this approximation.
+        The first result has the shape (P, C, d), for P places (stations or targets), C responses (changed quantities)
+        and the d regressors (functions of covariates) in `regressor_range`; the second has the shape (trials,). The
+        Gram matrix of a law is not reduced by the effects in the model, and is therefore too large for a law that is
+        correlated with them. The laws with the largest evidence are evaluated again without this approximation.
         """
         columns = self.regressor_columns.model_columns(regressor_range)
         scores = self._products_with_ensemble_vectors(null_ensemble, columns)
@@ -254,14 +253,13 @@ class LawBatch:
         return log_sum_exp(np.stack(log_evidences)) + self.log_prior_by_place[:, None, None], log_sum_exp(null)
 
     def _scaled_eigen_decompositions(self, gram: Floats, regressor_range: slice) -> list[tuple[Floats, Floats32]]:
-        """Eigen decompositions of Gram matrices of empirical laws, scaled by prior sigmas of their coefficients.
+        """Eigen decompositions of the laws' Gram matrices, scaled by the prior sigmas of the coefficients.
 
-        An empirical law describes an error as a function of covariates. The list runs over the length scales of the
-        smooth functions of a regressor, each with its own prior sigmas. An entry has the eigenvalues (P, C, d, c k) and
-        matrices (P, C, d, c k, c k); the product of such a matrix with the scores of a law gives its scores along the
-        eigenvectors. There are P places (stations and targets where a law acts), C responses (quantities that it
-        changes) with c components, and d regressors with k columns in `regressor_range`. `gram` has the shape (P, C, d,
-        c k, c k).
+        The list has one entry per length scale of smooth functions, each with its own prior sigmas. An entry has the
+        eigenvalues (P, C, d, c k) and matrices (P, C, d, c k, c k), whose product with the scores of a law gives its
+        scores along the eigenvectors. There are P places (stations and targets where a law acts), C responses
+        (quantities that it changes) with c components, and d regressors with k columns in `regressor_range`. `gram` has
+        the shape (P, C, d, c k, c k).
         """
         transforms = []
         for spread in (spread[regressor_range] for spread in self._prior_sigmas):
@@ -271,11 +269,11 @@ class LawBatch:
         return transforms
 
     def _products_with_ensemble_vectors(self, null_ensemble: NullEnsemble, columns: Floats32) -> Floats32:
-        """Products (P, C, d, c k, v) of the design matrices of empirical laws with v vectors of the null ensemble.
+        """Products of the laws' design matrices with all v vectors of the null ensemble, (P, C, d, c k, v).
 
         The laws act at P places (stations and targets) on C responses (changed quantities) with c components. `columns`
-        (n, d k) are the k columns of each of d regressors (functions of covariates) at n pointings. The null ensemble
-        consists of simulated recordings without effects.
+        (n, d k) are the k columns of each of d regressors (functions of covariates) at n pointings. The vectors are the
+        residuals of the recording and of simulated recordings, and a basis.
         """
         _, _, count, n_components = self.whitened_response_designs.shape
         vectors, d = null_ensemble.probe_vectors.shape[1], columns.shape[1] // self.regressors[0].n_columns
@@ -297,7 +295,7 @@ class LawBatch:
         return np.ascontiguousarray(products.transpose(0, 3, 1, 4, 2, 5)).reshape(len(products), count, d, -1, vectors)
 
     def _unprojected_gram_matrices(self, columns: Floats32) -> Floats:
-        """Gram matrices (P, C, d, c k, c k) of the designs of empirical laws, before projection.
+        """Gram matrices of the laws' design matrices, before projection, (P, C, d, c k, c k).
 
         The laws act at P places (stations and targets) on C responses (changed quantities) with c components. `columns`
         (n, d k) are the k columns of each of d regressors (functions of covariates) at n pointings.
@@ -344,7 +342,7 @@ def indices_of_largest(values: Floats, count: int) -> Ints:
 def evaluate_law_batches(
     law_batches: Sequence[LawBatch], null_ensemble: NullEnsemble
 ) -> list[tuple[list[ScreenedLaw], float, Floats]]:
-    """Best laws, log of the summed evidence, and null values (trials,) of each batch of laws, in the order of batches.
+    """For each batch: its best laws, log of the summed evidence of all laws, and null values (trials,).
 
     An empirical law describes an error as a function of covariates. The null values are the log of the summed evidence
     in simulated recordings without effects (trials).

@@ -36,8 +36,8 @@ MAX_READINGS_FOR_HEAVY_TAIL = 4000
 """Largest number of readings in a recording for which the search tries a heavy tail of their error distribution, to
 limit the computing time."""
 HEAVY_TAIL_VARIANCE_FACTORS = np.array([4.0, 12.0, 36.0, 100.0])
-"""Factors on the variance of a reading in the tail of the error distribution, over which the evidence is averaged. The
-standard deviation is then two to ten times the declared one."""
+"""Factors on the variance of readings in a heavy tail of the error distribution, over which the evidence is averaged.
+They correspond to two to ten times the declared standard deviation."""
 NOISY_OBSERVABLE_SETS: tuple[tuple[str, ...], ...] = (*((name,) for name in OBSERVABLES), OBSERVABLES[1:], OBSERVABLES)
 """Sets of observables that may have larger noise together."""
 

@@ -161,7 +161,7 @@ def _span_gram_and_score(
 
 
 def _span_differences(step_values: Floats) -> Floats:
-    """Values (S, ...) of S spans of a covariate from those of S steps: each step minus the next."""
+    """Values (S, ...) of S intervals of a covariate: value at the step that begins each, minus that at the next."""
     return step_values - np.concatenate([step_values[1:], np.zeros_like(step_values[:1])])
 
 

@@ -296,7 +296,7 @@ def read_json(file: Path, kind: str, *, shares_equal_objects: bool = False) -> d
     object_by_digest: dict[bytes, dict[str, Any]] = {}
 
     def shared_object(value: dict[str, Any]) -> dict[str, Any]:
-        """First object of the file that equals `value`."""
+        """First of all equal objects in the file, which is used in place of `value`."""
         return object_by_digest.setdefault(hashlib.sha256(repr(_comparison_key(value)).encode()).digest(), value)
 
     parse_decimal, parse_integer = (partial(checked_number, number_type=number_type) for number_type in (float, int))

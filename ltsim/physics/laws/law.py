@@ -322,7 +322,7 @@ class EmpiricalLaw(CandidateEffect):
         return replace(self, regressor=self._regressor_with_switch(switch_regressor(edge_steps)), length_scale_index=0)
 
     def _regressor_with_switch(self, gate_regressor: Regressor) -> Regressor:
-        """Function of covariates in which `gate_regressor` (steps, switch) replaces a curve, or multiplies a length."""
+        """Function of covariates with a switch: `gate_regressor` (steps) in place of a curve, or times a length."""
         if self.depends_on_permanent_region:
             return Regressor("product", factors=(self.regressor, gate_regressor))
         others = [f for f in self.regressor.factors if f != self.switchable_factor]

@@ -109,7 +109,7 @@ def name_targets_by_position(table: PointingTable, readings: Floats) -> Pointing
 
 
 def _coincident_targets_notes(pointings: UnconvertedPointings, readings: Floats) -> list[str]:
-    """Note, in a list, on targets with different names at one position, as if each shot had a name; otherwise empty.
+    """Note, in a list, on targets at one position with different names (one name per shot); otherwise empty.
 
     `readings` (n, 3) are raw ranges, azimuths and elevations of n pointings [m, rad, rad].
     """
