@@ -332,7 +332,7 @@ class FamilyEvidenceSums:
         return cls(family_indices, np.full((n_families, n_trials), -np.inf))
 
     def with_effects(self, effect_indices: Ints, log_evidences: Floats) -> FamilyEvidenceSums:
-        """Sums with b effects added that have the indices `effect_indices` and `log_evidences` (b, trials)."""
+        """Sums after the addition of b effects with indices `effect_indices` and `log_evidences` (b, trials)."""
         present, group = np.unique(self.family_indices[effect_indices], return_inverse=True)
         means = log_mean_exp_by_group(log_evidences, group, len(present))
         means += np.log(np.bincount(group))[:, None]

@@ -85,7 +85,8 @@ class InstrumentConstantContradiction:
     reference_text: str
     """Name of the reference for users, such as `the other instruments`."""
     evidence_share_by_constant: Mapping[Parameter, float]
-    """Fractions of the evidence for this constant and others of the same instruments that may have changed instead."""
+    """Fractions of the evidence, by instrument constant: for this constant, and for each constant of the same
+    instruments that may have changed in its place."""
 
 
 @dataclass(frozen=True)

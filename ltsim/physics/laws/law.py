@@ -158,7 +158,7 @@ class EmpiricalLaw(CandidateEffect):
         return self.regressor.region is not None
 
     def without_time_limit(self) -> EmpiricalLaw:
-        """Copy of a law of a region of the hall that acts during the whole measurement; other laws unchanged."""
+        """Copy of a law in a region of the hall without a time limit; other laws are returned unchanged."""
         first, *others = self.regressor.factors or (self.regressor,)
         gated = first.region is not None and [f.kind for f in others] == ["switch"]
         return replace(self, regressor=first) if gated else self
@@ -347,7 +347,7 @@ class EmpiricalLaw(CandidateEffect):
         return replace(self, response=index, regressor=rest[0]) if is_index else self
 
     def with_coefficients_per_setup(self, sightings: Sightings) -> EmpiricalLaw | None:
-        """Copy of the law with coefficients per set-up; None for a product, or a law of some stations or targets."""
+        """Copy of the law with separate coefficients per set-up; None if the law or network does not permit this."""
         stations = tuple(sightings.station_names)
         is_restricted = len(self.stations) > 1 or self.targets or self.instruments
         is_unsuitable = (

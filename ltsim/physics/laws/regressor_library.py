@@ -87,9 +87,9 @@ PERMITTED_COVARIATES_BY_AFFECTED_PART: dict[str, tuple[str, ...]] = {
     "reflector": ("time", "lapse", "last-target", *_SIGN_COVARIATES[3:], *_NEST_COVARIATES),
     "air": CLOCK_COVARIATES,
 }
-"""Names of the covariates on which a response (changed quantity) can depend, by `Response.changed_part`, besides
-columns of the recording. The position of a wall cannot depend on the direction in which a tracker points. The position
-of a stand can, because a head is not balanced exactly."""
+"""Names of the covariates on which a response (changed quantity) can depend, by `Response.changed_part`. It can also
+depend on additional columns of the recording. The position of a wall cannot depend on the direction in which a tracker
+points. The position of a stand can, because a head is not balanced exactly."""
 MIN_EFFECTIVE_TARGETS_IN_REGION = 2.5
 """Smallest effective number (sum w)^2 / sum(w^2) of targets with weights w in a region whose errors are tried."""
 NEARNESS_REGION_SHAPES = ("xyz", "xy")
@@ -307,7 +307,7 @@ def _alternations_differ(sightings: Sightings) -> bool:
 
 
 def per_setup_regressors(sightings: Sightings, min_setups: int) -> list[Regressor]:
-    """List of a function with a value per set-up; empty below `min_setups` or above `MAX_SEPARATE_AMOUNTS` set-ups."""
+    """List with a function that has a value per set-up; empty for fewer than `min_setups` or too many set-ups."""
     n_stations = len(np.unique(sightings.station))
     return [group_amounts_regressor("station", n_stations)] if min_setups <= n_stations <= MAX_SEPARATE_AMOUNTS else []
 

@@ -124,8 +124,8 @@ class Regressor:
     factors: tuple[Regressor, ...] = ()
     """Regressors that compose this one: factors of a product, steps and ramps of a sum, or steps of a switch."""
     field_or_amount_targets: tuple[str, ...] = ()
-    """Names of targets: those whose mean position is the origin of a polynomial of the position (`field`), or those
-    with separate values; empty for all."""
+    """Names of targets: for a polynomial of the position (`field`) those whose mean position is its origin, for
+    separate values (`amounts`) those with a value; empty for all."""
     region: HallRegion | None = None
     """Region of the hall of a `passage` or `near` regressor; None for other kinds."""
     release_threshold: float = 0.0

@@ -43,7 +43,7 @@ PHRASE_BY_COVARIATE = {
 }
 """Phrases, shown to users, in place of covariate names that are not clear in a sentence."""
 GROUP_COVARIATES = ("station", "target", "last-target")
-"""Names of the covariates for whose values (such as stations) an error may have separate values."""
+"""Names of covariates that divide pointings into groups, for which an error may have separate values."""
 REGRESSOR_TEXT_TEMPLATES: dict[tuple[str, str, float | None], str] = {
     ("constant", "", None): "constant",
     ("smooth", "", None): "a smooth function of {x}",
