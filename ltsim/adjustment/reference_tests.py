@@ -43,7 +43,7 @@ ERROR_UNIT_BY_REFERENCE_KIND = {"level": ("arcsec", ARCSECOND), "yaw": ("arcsec"
 TESTED_REFERENCE_KINDS: tuple[ReferenceKind, ...] = ("point", "difference", "length", "level", "yaw", "mark", "scale")
 """Kinds of reference values that are tested, and by default excluded if they contradict the other observations."""
 TESTED_KINDS_EXCEPT_SCALE: tuple[ReferenceKind, ...] = TESTED_REFERENCE_KINDS[:-1]
-"""Kinds of reference values that may be excluded if reference lengths are to determine the scale of the network. A
+"""Kinds of reference values whose tests may exclude values, if reference lengths determine the scale of the network. A
 common scale error of the lengths is then only reported."""
 MIN_TESTED_REDUNDANCY = 1e-3
 """Smallest redundancy number of a component of a reference value that the other observations are able to test."""

@@ -166,7 +166,7 @@ class TrueParameterDistribution:
 
     @property
     def prior_variance_deficit_fraction(self) -> Floats:
-        """Fraction (parameters,) of the prior variance by which the variance of the true parameters is smaller."""
+        """Fraction (parameters,) by which the variance of the true parameters is below their prior variance."""
         return 1.0 - self.true_value_sigmas**2
 
 

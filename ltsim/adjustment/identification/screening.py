@@ -248,7 +248,7 @@ def _target_position(fit: NetworkFit, pointing_indices: Ints) -> Floats | None:
 
 
 def _distance_trial_hypotheses(fit: NetworkFit, candidates: Sequence[ShiftCandidate]) -> list[ScreenedHypothesis]:
-    """Hypotheses of offsets and scale errors of distances at the stations and targets with most outliers, with gains.
+    """Hypotheses of offsets and scale errors of distances at the stations and targets with most outliers.
 
     Distances with large errors displace the target or station, so that its angles have large residuals too. The network
     is therefore fitted without these distances, and the error is estimated from their residuals. The list is empty if
