@@ -158,9 +158,9 @@ class Recovery(ResultFile):
         count = len(self.parameters)
         return [
             f"The calibrator estimates {count} parameter{'' if count == 1 else 's'} ({names}). In the comparison "
-            f"ltsim estimates {len(self.ltsim_parameters)}, also {names_text(more, MAX_LISTED_PARAMETERS)}. Its errors "
-            "contain the uncertainty of these further parameters; the errors of the calibrator contain "
-            "their neglected effects."
+            f"ltsim estimates {len(self.ltsim_parameters)}, also {names_text(more, MAX_LISTED_PARAMETERS)}. These "
+            "further parameters increase the uncertainty of the estimates of ltsim; the calibrator, which neglects "
+            "them, has errors from their effects."
         ]
 
     def verdict_text(self) -> str:

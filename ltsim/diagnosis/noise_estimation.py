@@ -73,9 +73,9 @@ def reml_gain_function(
 def _log_likelihood_ratios_of_groups(
     reml_gain: Callable[[Floats], Floats], n_groups: int, variance_factors: Floats
 ) -> Floats:
-    """Log restricted likelihood ratios (f, k) of k groups of readings for f variance factors, from `reml_gain`.
+    """Log restricted likelihood ratios (f, k) of k groups of readings, with f variance factors against declared noise.
 
-    `reml_gain` is the function from variance parameters to the gain of restricted log likelihood by each of them.
+    `reml_gain` is a function: the gain (k,) of restricted log likelihood by each of k changes of variance factors.
     """
     base_gain = reml_gain(np.zeros(n_groups))
     return np.stack([reml_gain(np.full(n_groups, factor - 1.0)) - base_gain for factor in variance_factors])

@@ -100,7 +100,7 @@ def _similar_names_clause(name: str, candidates: Sequence[str]) -> str:
 
 
 def _completed_fields(plan_file: PlanFile, path: Path) -> dict[str, Any]:
-    """New values of fields of a plan file, by name: the points of its list, and defaults that depend on other keys.
+    """New values of fields of a plan file, by name: points read from the list, and defaults that depend on other keys.
 
     `path` is the path of the plan file. Raises InputError for too many points.
     """

@@ -217,7 +217,7 @@ class _PlanSearch:
         return min(paid, key=lambda o: o.objective_value)
 
     def best_with_fewest_stations(self) -> TradeoffPoint:
-        """Layout with the fewest stations that meets the tolerances, by the measuring procedure of shortest duration.
+        """Layout with the fewest stations that meets the tolerances; of several such layouts, the fastest to measure.
 
         If no layout meets the tolerances, the result is the layout with the smallest ratio of point error to tolerance.
         """

@@ -233,7 +233,9 @@ def tape_deficiency_sentence(tape_distances: Sequence[TapeDistance], place: Floa
     ):
         return ""
     position = f"x {mirror[0]:.2f}, y {mirror[1]:.2f} m"
-    return f"The tape distances also fit a wrong position, {position}: check the side of the marks."
+    return (
+        f"The tape distances also fit a wrong position, {position}: check on which side of the marks the tripod stands."
+    )
 
 
 def _zero_direction_text(plan: PlannedNetwork, place: Floats, yaw: float, is_visible: Bools) -> str:

@@ -322,7 +322,7 @@ def _undetectable_tables(content: Diagnosis) -> list[TableBlock]:
         "effect undetected_target_error_um detectable_at_factor"
     )
     cures = " or ".join(dict.fromkeys(u.cure for u in largest_first if u.cure))
-    note = "Poses, targets and instrument constants absorb these effects at a plausible worst-case size."
+    note = "Even at a plausible worst-case size, these effects are absorbed by poses, targets and instrument constants."
     note += f" Measurement that would detect these effects: {cures}." if cures else ""
     return table_blocks("Undetectable in this recording", table, note=note)
 

@@ -62,8 +62,8 @@ UNCERTAINTY_NOTE = (
 )
 """Note below a table of expanded uncertainties, which explains the columns U and mc."""
 UNDETECTABLE_NOTE = (
-    "Each size is one standard deviation. The readings do not show these errors, and U does not include them. "
-    "Measure a known length or the temperature of the structure to exclude them."
+    "Each size is one standard deviation. Errors that leave no residuals are not included in U. "
+    "Measure a known length or the temperature of the structure to exclude such errors."
 )
 """Note below a table of undetectable errors."""
 MAX_BUDGET_BARS = 40
