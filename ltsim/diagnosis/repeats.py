@@ -40,9 +40,9 @@ def redundancy_of_means(averaging_matrix: sp.csr_array, redundancy: Floats) -> F
 def added_variance_of_means(averaging_matrix: sp.csr_array, added_variance: Floats) -> Floats:
     """Added variance (g,) of g scaled means of repeated readings that share their errors.
 
-    Added variances are divided by the declared variance. `added_variance` (k,) is that of the first k observations. The
-    added variance of a mean is the sum over its readings, because the errors of these readings are equal.
-    `averaging_matrix` maps the readings to the means.
+    Added variances are divided by the declared variance. `added_variance` (k,) contains the added variances of the
+    first k observations. The added variance of a mean is the sum over its readings, because the errors of these
+    readings are equal. `averaging_matrix` maps the readings to the means.
     """
     padded = np.append(added_variance, np.zeros(averaging_matrix.shape[1] - len(added_variance)))
     return np.maximum((averaging_matrix > 0).astype(np.float64) @ padded, 0.0)

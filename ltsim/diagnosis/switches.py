@@ -62,9 +62,9 @@ class SpanGramAndScore(NamedTuple):
 def n_tried_waves_of_same_covariate(law: EmpiricalLaw, sightings: Sightings) -> int:
     """Number of waves of the same covariate that a diagnosis tried, if an empirical law has a wave; otherwise 1.
 
-    An empirical law describes an error as a function of covariates. The law with the most probable of these waves
-    represents any switch. The prior of the switch is therefore the prior of the law multiplied by the number of waves.
-    A switch is on in some intervals of a covariate, and off in the others.
+    An empirical law describes an error as a function of covariates. A switch is on in some intervals of a covariate,
+    and off in the others. The law with the most probable wave represents any switch. The prior of the switch is
+    therefore the prior of the law multiplied by the number of waves.
     """
     swing = law.switchable_factor
     if swing is None or swing.kind != "wave":

@@ -303,7 +303,7 @@ def fewest_stations_not_worse_than_scenario(plan: PlannedNetwork) -> TradeoffPoi
     """
     if plan.scenario_layout_evaluation is None or not plan.scenario_layout_evaluation.qualities:
         return None
-    goal = _reference_objective(plan)
+    goal = _objective_of_scenario_layout(plan)
     equal_options = [o for o in plan.tradeoff_points if _has_same_procedure(plan, o) and o.objective_value <= goal]
     return min(equal_options, key=lambda o: (len(o.survey.station_positions), o.objective_value), default=None)
 
@@ -321,7 +321,7 @@ def _tradeoff_sentences(plan: PlannedNetwork) -> list[str]:
             f"{len(few.survey.station_positions)} stations suffice to match the "
             f"{len(reference.survey.station_positions)} of the "
             f"scenario's layout ({_quality_value_text(goal, few.objective_value)} against "
-            f"{_quality_value_text(goal, _reference_objective(plan))}) in {few.hours:.1f} h."
+            f"{_quality_value_text(goal, _objective_of_scenario_layout(plan))}) in {few.hours:.1f} h."
         )
     n_stations = len(plan.layout.survey.station_positions)
     now = next(
@@ -350,7 +350,7 @@ def _tradeoff_sentences(plan: PlannedNetwork) -> list[str]:
     return sentences
 
 
-def _reference_objective(plan: PlannedNetwork) -> float:
+def _objective_of_scenario_layout(plan: PlannedNetwork) -> float:
     """Value of the plan's objective for the layout in the scenario; infinite without an evaluation of that layout."""
     if plan.scenario_layout_evaluation is None:
         return float("inf")

@@ -94,7 +94,7 @@ class NormalMatrixTerms:
 
         `normal_matrices` (B, K, K) are those of the layouts, for K unknowns.
         """
-        return self.scorer.marginal_information(
+        return self.scorer.information_on_parameters(
             normal_matrices, np.broadcast_to(self.squared_column_norms, normal_matrices.shape[:2])
         )
 
