@@ -342,7 +342,7 @@ def indices_of_largest(values: Floats, count: int) -> Ints:
 def evaluate_law_batches(
     law_batches: Sequence[LawBatch], null_ensemble: NullEnsemble
 ) -> list[tuple[list[ScreenedLaw], float, Floats]]:
-    """For each batch: its best laws, log of the summed evidence of all laws, and null values (trials,).
+    """Best laws of each batch, log of the summed evidence of all its laws, and null values (trials,).
 
     An empirical law describes an error as a function of covariates. The null values are the log of the summed evidence
     in simulated recordings without effects (trials).
