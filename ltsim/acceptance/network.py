@@ -49,7 +49,7 @@ def may_be_tracker_error(cause: CauseTest) -> bool:
 
 
 def _treatment_text(cause: CauseTest, treatment_text: str) -> str:
-    """Phrase on the treatment of an identified error: `treatment_text`, or a special phrase for centring errors."""
+    """Phrase on the treatment of an identified error: `treatment_text`, with another end for centring errors."""
     if cause.kind != CENTRING_CAUSE_KIND:
         return treatment_text
     return treatment_text.partition(",")[0] + ", and the uncertainties of the lengths contain it"

@@ -29,7 +29,8 @@ MAX_NEGLIGIBLE_FRACTION_OF_LIMIT = 1e-6
 """Change of a test's error, as a fraction of its limit, that counts as rounding. A test counts as dependent on an
 instrument constant if the constant, with the size of its prior standard deviation, changes the error by more."""
 MAX_NEGLIGIBLE_FRACTION_OF_PRIOR_SIGMA = 1e-6
-"""Size of an instrument constant, as a fraction of its prior standard deviation, below which it is replaced by zero."""
+"""Smallest size of an instrument constant that is not replaced by zero, as a fraction of its prior standard deviation.
+"""
 MAX_CONSTANT_SIZE_IN_PRIOR_SIGMAS = 3.0
 """Largest size of an instrument constant, in prior standard deviations, in the search for the instrument with the
 largest point errors that passes all tests."""
@@ -215,8 +216,8 @@ class AcceptancePrediction:
     """Predicted results of acceptance tests."""
 
     expected_errors: Floats
-    """Expected errors (tests, 2) [m]: for a length its error and 0, for a two-face difference its parts to the left and
-    upwards."""
+    """Expected errors (tests, 2) [m]. A length has its error and 0; a two-face difference has its components to the
+    left and upwards, as seen from the instrument."""
     error_sigmas: Floats
     """Standard deviations (tests, 2) [m] of the two components of `expected_errors`, including noise."""
     pass_probabilities: Floats

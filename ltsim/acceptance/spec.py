@@ -249,7 +249,7 @@ class AcceptanceSettings(TomlSection):
     def _check_complete(self) -> Self:
         """Check that the keys of the file are complete and do not exclude each other; raises ValueError."""
         if self.instrument is None and self.specification is None:
-            raise ValueError("give instrument or the table [specification]")
+            raise ValueError("give the key instrument or the table [specification]")
         if self.recording is None and (self.standard is None) == (self.tests_file is None):
             raise ValueError("give either standard or tests_file")
         if self.standard == TWO_FACE_ONLY_STANDARD and self.additional_tests_file is None:

@@ -51,8 +51,9 @@ DECISION_RULE_TEXT = (
 )
 """Sentence on the rule by which measured errors are accepted or rejected."""
 NETWORK_UNCERTAINTY_TEXT = (
-    "U of a length contains the adjusted network and the errors removed from the recording. A two-face error has no "
-    "reference: its U contains only those errors and scatter beyond the declared noise, so that it may be 0."
+    "The uncertainty U of a length contains that of the adjusted network and that of the errors removed from the "
+    "recording. A two-face error needs no reference: its U contains only the uncertainty of the removed errors and "
+    "scatter beyond the declared noise, and may be 0."
 )
 """Sentences on the content of the expanded uncertainties U of test errors in a network."""
 

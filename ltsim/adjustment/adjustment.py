@@ -39,8 +39,8 @@ from ltsim.solve.elimination import FactorisedNormals, SingularSystemError
 from ltsim.solve.gauss_newton import Solution, solution_for_plan, solve
 
 MAX_SUCCESSIVELY_TESTED_READINGS = 300
-"""Largest number of suspected readings at which outliers are removed one after another. If more readings are suspected,
-each is tested as if it were the only outlier."""
+"""Largest number of suspected readings that are removed one after another. If more readings are suspected, each is
+tested as if it were the only outlier."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class Adjustment(Result):
     cause_sentences: tuple[str, ...] = ()
     """Sentences on identified errors that the model contains and that explain the misfit."""
     noise_sentences: tuple[str, ...] = ()
-    """Sentences on noise larger than declared that explains the misfit; `problem.reading_sigmas` do not contain it."""
+    """Sentences on noise that is larger than declared and explains the misfit; the weights do not contain it."""
     datum: InnerConstraintDatum | None = None
     """Datum of the covariances by inner constraints; None if the pose of the first station, or constraints, define the
     datum."""
@@ -343,7 +343,7 @@ class Adjustment(Result):
         covariance = self.covariance_submatrices(self.problem.unknowns.pose_columns)
         anchors = self.problem.undetermined_unknowns.datum_stations
         if self.datum is None and len(anchors) == 1:  # without the variance of the numerical constraints of the datum
-            directions = self.problem.datum_directions(self.state)
+            directions = self.problem.free_motions_at_datum_stations(self.state)
             variable = np.round(np.eye(6) - np.linalg.pinv(directions) @ directions, 12)
             covariance[anchors] = variable @ covariance[anchors] @ variable
         held = self.problem.undetermined_unknowns.fixed_pose_components

@@ -33,7 +33,7 @@ MAX_RELATIVE_POINT_MISCLOSURE = 0.05
 points. Nominal coordinates of a drawing differ less from a network. Declared coordinates whose scale differs from the
 network by more than this fraction are rejected too.
 """
-NO_RESTRICTED_AXES: Mapping[str, Axes] = MappingProxyType({})
+ALL_AXES_OF_EVERY_TARGET: Mapping[str, Axes] = MappingProxyType({})
 """Default of the axes in which each target defines the datum: an empty mapping, for all three axes of every target."""
 
 
@@ -259,7 +259,7 @@ def _require_same_shape(network_points: Floats, declared_points: Floats, source:
 def _with_datum_points(
     recording: Recording,
     points_by_target: Mapping[str, Floats],
-    axes_by_target: Mapping[str, Axes] = NO_RESTRICTED_AXES,
+    axes_by_target: Mapping[str, Axes] = ALL_AXES_OF_EVERY_TARGET,
     source: str | None = None,
 ) -> Recording:
     """Recording whose axes (datum) are defined by the positions of some targets, `points_by_target` (3,) [m].

@@ -33,8 +33,8 @@ saves time, as each comparison takes a millisecond. It is also the largest numbe
 if more stations differ, the whole file is wrong.
 """
 MIN_STATION_MISFIT_OF_WRONG_UNIT = 5e-3
-"""Median distance [m] between the common points of two stations after alignment, above which another unit or convention
-of a station is suspected. Neither tracker errors nor a single blunder cause such a misfit.
+"""Limit of the median distance [m] between common points of two stations after alignment. If it is exceeded, a wrong
+unit or convention of a station is suspected, because neither tracker errors nor a single blunder cause such distances.
 """
 
 

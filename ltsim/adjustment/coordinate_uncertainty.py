@@ -35,7 +35,7 @@ number of points and has 20 MB at the limit."""
 
 
 def point_names(adjustment: Adjustment, *, with_stations: bool) -> tuple[str, ...]:
-    """Names of T targets and, if requested, of S stations; a station with the name of a target gets another one."""
+    """Names of T targets and, if requested, of S stations; a station with a target's name gets a different name."""
     names = list(adjustment.recording.targets)
     for station in adjustment.recording.stations if with_stations else ():
         name = station

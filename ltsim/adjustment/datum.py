@@ -113,9 +113,9 @@ def solution_near_excluded_points(
 ) -> Solution[NetworkState]:
     """Solution moved along the free motions of a problem as near as possible to excluded points.
 
-    Without the excluded point the other ones may not define the frame: two points leave a rotation undetermined. The
-    misclosure of the excluded point is then the smallest one that a free motion permits. `excluded_values` are the
-    excluded reference values of all kinds.
+    Without the excluded point, the remaining points may not define the frame: two points leave a rotation undetermined.
+    A free motion is therefore chosen for which the misclosure of the excluded point is smallest. `excluded_values` are
+    the excluded reference values of all kinds.
     """
     names = [value.name for value in excluded_values if value.kind == "point" and value.declared_axes == "xyz"]
     if not names or not problem.free_motions.shape[1]:

@@ -22,7 +22,7 @@ from ltsim.solve.gauss_newton import MAX_ITERATIONS
 MAX_DISTANCE_OF_EQUAL_SOLUTIONS = 1e-3
 """Largest difference of equal solutions for a pose or point: distance / extent of points + norm of rotation change."""
 MIN_UNIQUE_SOLUTION_RATIO = 4.0
-"""Smallest ratio of the sum of squares of the second-best to the best solution at which a pose or point is unique."""
+"""Smallest ratio of two sums of squares, second-best to best solution, for which a pose or point counts as unique."""
 MAX_RMS_RESIDUAL_SIGMAS = 300.0
 """Largest rms residual of a usable solution for a pose or point, in standard deviations of the readings."""
 N_ITERATED_STARTS = 150
@@ -227,8 +227,8 @@ def multilaterate(ranges: Floats) -> tuple[Floats, Floats] | None:
 
 
 MIN_BEAM_PROJECTOR_EIGENVALUE = 1e-5
-"""Smallest eigenvalue of the mean of the projectors perpendicular to some beams, below which the beams count as
-parallel."""
+"""Limit of the smallest eigenvalue of the mean projector perpendicular to several beams. Beams with a smaller
+eigenvalue count as parallel."""
 
 
 def beam_intersection(origin: Floats, beam_directions: Floats) -> Floats | None:

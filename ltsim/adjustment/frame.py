@@ -20,7 +20,7 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Target
 
 MAX_FLOOR_PLAN_ERROR = 0.5
-"""Distance [m] of an adjusted station from its position on the floor plan, from which on the floor plan is ignored."""
+"""Largest distance [m] of an adjusted station from its position on a usable floor plan; else the plan is ignored."""
 UNDECLARED_COORDINATES = (np.nan, np.nan, np.nan)
 """Coordinates (NaN) of a point without declared coordinates."""
 

@@ -341,11 +341,11 @@ class NetworkProblem(NetworkRows):
 
     def _datum_rows(self, state: NetworkState) -> Floats:
         """Coefficients (f, 6 a) of whitened equations that fix the f free rigid motions at the a `datum_stations`."""
-        return self.datum_directions(state) / np.tile(
+        return self.free_motions_at_datum_stations(state) / np.tile(
             DATUM_CONSTRAINT_SIGMAS, len(self.undetermined_unknowns.datum_stations)
         )
 
-    def datum_directions(self, state: NetworkState) -> Floats:
+    def free_motions_at_datum_stations(self, state: NetworkState) -> Floats:
         """Changes (f, 6 a) of the poses of the a `datum_stations` by the f free motions, which the datum fixes."""
         anchors = self.undetermined_unknowns.datum_stations
         motion = self.free_motions / np.linalg.norm(self.free_motions, axis=0)
@@ -359,7 +359,7 @@ class NetworkProblem(NetworkRows):
 
     @cached_property
     def level_row_slice(self) -> slice:
-        """Slice of the equations of the levels in the list of all equations, two per level."""
+        """Slice that selects the equations of the levels (two per level) among all equations."""
         first_level_row = (
             int(self.is_used_reading.sum())
             + len(self.gauge_rows)

@@ -30,15 +30,14 @@ from ltsim.geometry.rigid import MIN_POINTS_FOR_POSE, align_rigidly
 from ltsim.recordings.transcription_errors import DEGREES_FOR_GON, UNIT_AND_CONVENTION_ERRORS
 
 MAX_CONSISTENT_SIGMA0 = 100.0
-"""Largest sigma0 at which the observations count as consistent. Above this limit other units of the readings are tried,
-and a warning states that standard deviations are not valid."""
+"""Largest sigma0 of consistent observations. If sigma0 is larger, other units of the readings are tried, and a warning
+states that standard deviations are not valid."""
 MIN_COS_MEDIAN_TILT = 0.9
-"""Smallest cosine of the median tilt of the stations, at which their positions are compared with the floor plan."""
+"""Limit of the cosine of the median tilt of the stations. If the cosine is larger, the positions of the stations are
+compared with the floor plan."""
 MAX_POSE_CURVATURE = 0.3
-"""Largest nonlinearity of the readings over one standard deviation of a pose (curvature of Bates and Watts, in standard
-deviations of a reading) at which the standard deviations of the pose are valid. Above this limit the standard
-deviations are reported as too small.
-"""
+"""Limit of the nonlinearity of the readings over one standard deviation of a pose (curvature of Bates and Watts, in
+standard deviations of a reading). If it is exceeded, the standard deviations of the pose are reported as too small."""
 TESTED_UNIT_ERRORS = (
     *(slip for slip in UNIT_AND_CONVENTION_ERRORS if slip.name in ("gon", "metre", "inch", "clockwise", "zenith")),
     DEGREES_FOR_GON,
@@ -168,7 +167,7 @@ def adjustment_warnings(adjustment: Adjustment) -> tuple[str, ...]:
     slips = _undecided_target_sentences, _blunder_sentences, _duplicate_target_sentences, _centring_sentences
     kinds = (
         _cause_sentences,
-        _reference_sentences,
+        _reference_value_sentences,
         _motion_sentences,
         _declared_position_sentences,
         *slips,
@@ -190,7 +189,7 @@ def network_warnings(adjustment: Adjustment) -> tuple[str, ...]:
     return tuple(doubt for kind in kinds for doubt in kind(adjustment))
 
 
-def _reference_sentences(adjustment: Adjustment) -> Iterator[str]:
+def _reference_value_sentences(adjustment: Adjustment) -> Iterator[str]:
     """Sentences on reference values that contradict the other observations."""
     candidates = (*adjustment.rejected_references, *adjustment.axes_point_tests)
     sentences = [

@@ -49,11 +49,11 @@ MIN_TESTED_WHITENED_RESIDUAL = MIN_CERTAIN_ERROR_SIGMAS * float(np.sqrt(MIN_TEST
 """Smallest whitened residual of a tested reference value. An error of `MIN_CERTAIN_ERROR_SIGMAS` standard deviations
 causes a larger residual, if the redundancy number is at least `MIN_TESTED_REDUNDANCY`."""
 MIN_OTHERS_TO_IDENTIFY_WRONG_VALUE = 3
-"""Smallest number of other reference values of one kind, at which the wrong one of several contradicting values can be
-identified; with fewer values no value is excluded."""
+"""Smallest number of other reference values of the same kind that identify which of several contradicting values is
+wrong. If there are fewer, no value is excluded."""
 MAX_CHI2_FRACTION_AFTER_EXCLUSION = 1e-6
-"""Ratio of chi-square after the exclusion of reference values to chi-square before, below which the excluded values are
-certainly wrong."""
+"""Limit of the ratio of chi-square after and before the exclusion of reference values. If the ratio is smaller, the
+excluded values are certainly wrong."""
 MAX_EXCLUDED_REFERENCE_FRACTION = 1 / 3
 """Largest fraction of the reference values of one kind that may be excluded. If more seem wrong, all values of this
 kind are inconsistent and no value is excluded."""

@@ -43,12 +43,13 @@ ERROR_UNIT_BY_REFERENCE_KIND = {"level": ("arcsec", ARCSECOND), "yaw": ("arcsec"
 TESTED_REFERENCE_KINDS: tuple[ReferenceKind, ...] = ("point", "difference", "length", "level", "yaw", "mark", "scale")
 """Kinds of reference values that are tested, and by default excluded if they contradict the other observations."""
 TESTED_KINDS_EXCEPT_SCALE: tuple[ReferenceKind, ...] = TESTED_REFERENCE_KINDS[:-1]
-"""Kinds of reference values that may be excluded if reference lengths are to determine the scale of the network. A
+"""Kinds of reference values whose tests may exclude values, if reference lengths determine the scale of the network. A
 common scale error of the lengths is then only reported."""
 MIN_TESTED_REDUNDANCY = 1e-3
-"""Redundancy number of a component of a reference value, above which the other observations are able to test it."""
+"""Smallest redundancy number of a component of a reference value that the other observations are able to test."""
 MAX_HORIZONTAL_TO_VERTICAL_RATIO = 0.01
-"""Largest ratio of horizontal to vertical error of a point, at which the error counts as a height error."""
+"""Limit of the horizontal error of a point, divided by its vertical error. If the ratio is smaller, the error is
+reported as an error of height."""
 
 
 @dataclass(frozen=True)
@@ -197,7 +198,7 @@ def reference_tests(
     return tests
 
 
-def scaled_reference_tests(
+def reference_tests_with_estimated_noise(
     problem: NetworkProblem, solution: Solution[NetworkState], min_residual: float = 0.0
 ) -> list[ReferenceTest]:
     """Tests of reference values as by `reference_tests`, with standard deviations for the estimated noise."""
@@ -241,7 +242,7 @@ def reference_tests_with_instrument_constants(
         other_solution = solve(with_shape_parameters, state)
         if passes_global_test(with_shape_parameters, other_solution):
             tested, tested_solution = with_shape_parameters, other_solution
-    tests = scaled_reference_tests(tested, tested_solution)
+    tests = reference_tests_with_estimated_noise(tested, tested_solution)
     residuals = {(value.kind, value.name): value.residual for value in reference_values(problem, solution.x)}
     return tuple(replace(test, residual=residuals.get((test.kind, test.name), test.residual)) for test in tests)
 

@@ -21,7 +21,7 @@ ReferenceKind = Literal["point", "difference", "length", "level", "yaw", "mark",
 `yaw` known direction of azimuth zero, `mark` set-up over a mark, `axes` declared coordinates that only define the axes,
 `scale` common scale of all known lengths.
 """
-MIN_SIGMA_RELATIVE_TO_READINGS = 0.3
+MIN_REFERENCE_TO_READING_SIGMA_RATIO = 0.3
 """Smallest standard deviation of a reference value during its test, divided by the median standard deviation of the
 readings."""
 STATION_UPDATES_REMOVING_REFERENCE: dict[str, dict[str, object]] = {
@@ -205,7 +205,7 @@ def with_nonzero_reference_sigmas(problem: NetworkProblem, state: NetworkState) 
         return problem
     range_ = problem.model.sightings_without_covariates(state).range_
     sigma_lengths = problem.reading_sigmas * np.stack([np.ones_like(range_), range_, range_], axis=1)
-    floor = MIN_SIGMA_RELATIVE_TO_READINGS * float(np.median(sigma_lengths[problem.is_used_reading]))
+    floor = MIN_REFERENCE_TO_READING_SIGMA_RATIO * float(np.median(sigma_lengths[problem.is_used_reading]))
     if not floor > 0.0:  # angles alone, to a target at the position of the station
         return problem
     turn = floor / max(float(np.median(range_[problem.is_used_reading.any(axis=1)])), floor)

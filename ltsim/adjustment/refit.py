@@ -22,7 +22,7 @@ from ltsim.scene.sightings import Sightings
 from ltsim.solve.gauss_newton import MAX_DECISION_CHANGES
 
 SHAPE_CHANGE_TOLERANCE = 1e-5
-"""Relative change of a shape parameter (such as a period) for numerical derivatives, and the change below which its
+"""Relative change of a shape parameter (such as a period) in numerical derivatives; also the change at which its
 iteration ends. The readings are linear over this change, even if a range contains a thousand periods of a range error.
 """
 MAX_STEP_HALVINGS = 4
@@ -82,7 +82,7 @@ class FirstOrderEffect(CandidateEffect):
     """
 
     exact_effect: CandidateEffect
-    """Effect whose design matrix is fixed; the fields below are copied from it."""
+    """Effect whose design matrix is fixed. The fields after `design_at_state` have the values of this effect."""
     design_at_state: Floats = field(compare=False, repr=False)
     """Fixed design matrix: change (n, 3, p) of the readings of n pointings per unit of each of p parameters."""
     name: str = ""

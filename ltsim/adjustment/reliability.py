@@ -23,9 +23,11 @@ from ltsim.solve.elimination import FactorisedNormals
 from ltsim.solve.gauss_newton import Solution
 
 MAX_SIGMA0_FOR_DECLARED_NOISE = 1.25
-"""Largest robust estimate of sigma0 at which residuals are tested with the declared instead of the estimated noise."""
+"""Limit of a robust estimate of sigma0. Below it, residuals are tested with the declared noise; above it, with the
+estimated noise."""
 MIN_NOISY_SCATTER_RATIO = 2.0
-"""Ratio of the scatter at a target to the scatter at the other targets, above which the target counts as noisy."""
+"""Limit of the scatter at a target, divided by the scatter at the other targets. A target with a larger ratio counts as
+noisy."""
 
 
 def redundancy_numbers(problem: NetworkProblem, normal_equations: FactorisedNormals) -> Floats:

@@ -23,9 +23,8 @@ from ltsim.scene.sightings import Sightings
 from ltsim.solve.projection import ResidualProjector, make_residual_projector
 
 MAX_SCREENED_ENTRIES = 3_000_000
-"""Largest number of entries of the design columns of all hypotheses that are projected off the unknowns of a fit, to
-limit the processor time. Of more hypotheses only the most promising ones are projected.
-"""
+"""Largest number of entries of the design columns of all hypotheses that are projected onto the residual space, to
+limit the processor time. Of more hypotheses only the most promising ones are projected."""
 
 
 @dataclass(frozen=True)

@@ -89,7 +89,7 @@ class ControlRows:
     """Observation equations of k known points: targets, or instruments over known marks that are not measured."""
 
     point_indices: Ints
-    """Index of the target, or of the station, of each of k known points, (k,)."""
+    """Index of each of k points with known coordinates, (k,): the index of a target, or of a station."""
     declared_points: Floats
     """Known coordinates of k points, (k, 3) [m]; the values of unknown coordinates are arbitrary."""
     is_declared_coordinate: Bools
@@ -186,8 +186,8 @@ class MarkDifferenceRows(ControlRows):
     """
 
     start_indices: Ints
-    """Index (k,) of the start of each of k differences in the list of T targets, S instruments and the origin;
-    `point_indices` (k,) is the index of its end."""
+    """Index (k,) of the start point of each of k coordinate differences, in the list of T targets, S instruments and
+    the origin. The end point has the index `point_indices` (k,)."""
     origin_index: int
     """Index of the origin in the list of T targets, S instruments and the origin: T + S."""
     names: tuple[str, ...]

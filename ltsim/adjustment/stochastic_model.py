@@ -25,7 +25,7 @@ from ltsim.solve.gauss_newton import (
 )
 
 HUBER_LIMIT = 2.0
-"""Residual, in robust standard deviations, above which Huber's weights are below 1. The statistical efficiency for
+"""Largest residual, in robust standard deviations, with a weight of 1 by Huber's method. The statistical efficiency for
 normal residuals is 97 %."""
 CAUCHY_LIMIT = 2.385
 """Residual, in robust standard deviations, at which Cauchy's weight is one half. The statistical efficiency for normal
@@ -45,7 +45,8 @@ NOISE_KEYS_BY_OBSERVABLE = {
 }
 """Keys of the declared noise in `[instrument.noise]` of `setup.toml`, by observable."""
 SQUARED_ROBUST_STEP_TOLERANCE = 1e-2
-"""Squared length of a step, in units of the standard deviations of the unknowns, below which reweighting ends."""
+"""Squared length of a step, in units of the standard deviations of the unknowns, at which the iteration of robust
+weights ends."""
 
 
 def noise_declaration_texts(recording: Recording, observable: str, factor: float) -> list[str]:
@@ -168,11 +169,10 @@ def _iterate_weights(
 NoiseGrouping = Literal["observable", "instrument"]
 """Grouping of readings for the estimation of noise: one group per observable, or per observable and instrument."""
 GROUP_NOISE_FACTOR_TOLERANCE = 2e-3
-"""Relative change of the noise factors of groups of readings, below which their iteration ends: a tenth of the standard
-deviation of a factor that is estimated from 1,250 readings.
-"""
+"""Relative change of the noise factors of groups of readings at which their iteration ends: a tenth of the standard
+deviation of a factor that is estimated from 1,250 readings."""
 MIN_GROUP_REDUNDANCY = 3.0
-"""Sum of redundancy numbers above which the noise of a group of readings is estimated; other groups keep their declared
+"""Smallest sum of redundancy numbers of a group of readings whose noise is estimated; other groups keep their declared
 noise."""
 
 

@@ -85,9 +85,8 @@ class UnknownColumns:
 
 
 MIN_COS_PLUMB_INCLINATION = 1.0 - 1e-8
-"""Cosine of the angle between a plumb line and the z axis of the network, above which the plumb line counts as parallel
-to the z axis (0.14 mrad, 900 m on the earth).
-"""
+"""Limit of the cosine of the angle between a plumb line and the z axis of the network. If the cosine is larger, the
+plumb line counts as parallel to the z axis (0.14 mrad, 900 m on the earth)."""
 
 
 @dataclass(frozen=True)

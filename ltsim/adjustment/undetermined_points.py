@@ -12,11 +12,12 @@ from ltsim.solve.design import MAX_DENSE_ENTRIES, to_dense
 from ltsim.solve.gauss_newton import Solution, TerminationStatus
 
 MIN_RELATIVE_EIGENVALUE = NORMAL_EQUATIONS_TOLERANCE * NORMAL_EQUATIONS_TOLERANCE
-"""Eigenvalue of the normal matrix with columns of unit norm, divided by the largest, below which the combination of
-unknowns counts as undetermined: the square of the relative limit for singular values of the design matrix."""
+"""Limit of an eigenvalue of the normal matrix (columns of unit norm), divided by the largest eigenvalue. Below it, the
+eigenvector is an undetermined combination of unknowns. The limit is the square of that for singular values of the
+design matrix."""
 MIN_RELATIVE_MOTION = float(np.sqrt(SQRT_MACHINE_EPSILON))
-"""Motion of a point, divided by that of the farthest moving point, above which the point counts as undetermined: the
-rounding error of an eigenvector is smaller."""
+"""Limit of the motion of a point, divided by that of the farthest moving point. Points with a larger motion count as
+undetermined; rounding errors of an eigenvector are smaller."""
 
 
 def undetermined_points_sentence(problem: NetworkProblem, solution: Solution[NetworkState]) -> str:

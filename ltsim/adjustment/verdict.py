@@ -101,7 +101,7 @@ def _verdict_from_tests(adjustment: Adjustment, alpha: float, fit_with_constants
             f"Trust the estimated sigma0 and the tau-test. {_outlier_sentence(by_tau, ' in the tau-test')}"
         )
         return Verdict(VerdictCase.SMALLER_NOISE, sentence.rstrip(), True)
-    flagged_sentence = _flagged_sentence(by_w, by_tau, origin)
+    flagged_sentence = _flagged_readings_sentence(by_w, by_tau, origin)
     if adjustment.noise_sentences:
         noise, constants = (
             " ".join(adjustment.noise_sentences),
@@ -243,7 +243,7 @@ def _outlier_sentence(n_readings: int, condition: str = "") -> str:
     return f"{count}{condition}."
 
 
-def _flagged_sentence(n_flagged: int, n_outliers: int, origin: str) -> str:
+def _flagged_readings_sentence(n_flagged: int, n_outliers: int, origin: str) -> str:
     """Sentence on the number of readings flagged by the w-test, and of outliers in a test with the estimated noise.
 
     `origin` says where the noise of the w-test comes from, as an adjective such as "declared".

@@ -51,11 +51,11 @@ from ltsim.recordings.result_file import Finite, ResultFile
 EntryT = TypeVar("EntryT", DeterminedEntry, HarmonicEntry)
 """Type of a result entry of which each instrument has several."""
 MAX_SIGMA_TO_PRIOR_SIGMA_RATIO = 0.975
-"""Ratio of the posterior to the prior standard deviation below which a parameter counts as determined. At this ratio
-the readings removed 5 % of the prior variance (0.975 squared is 0.95)."""
+"""Largest ratio of posterior to prior standard deviation of a parameter that counts as determined. At this ratio the
+readings removed 5 % of the prior variance (0.975 squared is 0.95)."""
 MAX_ESTIMATED_NOISE_FRACTION_FOR_GLOBAL_TEST = 0.9
-"""Fraction of the redundancy with estimated noise above which the global test is not valid, because the estimation
-of the noise makes chi-square equal to the redundancy."""
+"""Limit of the fraction of the redundancy with estimated noise. If it is exceeded, the global test is not valid,
+because the estimation of the noise makes chi-square equal to the redundancy."""
 
 
 FIELDS_NOT_COPIED = frozenset(
@@ -353,7 +353,7 @@ class Calibration(UncertaintyEntry, ResultFile):
 
 
 def _parameter_entries(arrays: CalibrationArrays, applied_values: Floats) -> tuple[ParameterEntry, ...]:
-    """Entries of the estimates in display units, and of `applied_values` (instruments, parameters) [SI] that differ."""
+    """Result entries of the parameters, with `applied_values` [SI] where they differ from the estimates."""
     is_multiple = len(arrays.instruments) > 1
     parameter_entries = []
     for i, instrument in enumerate(arrays.instruments):
@@ -380,7 +380,7 @@ def _entries_per_instrument(
     make_entries: Callable[[Sequence[Parameter], Floats, Floats], list[EntryT]],
     transform: Callable[[Sequence[Parameter], Floats, Floats, Floats], tuple[Floats, Floats]] | None = None,
 ) -> tuple[EntryT, ...]:
-    """Entries of all instruments, from the estimates and covariance of each, which `transform` may change first."""
+    """Result entries of all instruments, from the estimates and covariance of each (after `transform`, if given)."""
     several, size = len(arrays.instruments) > 1, arrays.construction.n_parameters
     flat_entries: list[EntryT] = []
     parameters = arrays.construction.parameters

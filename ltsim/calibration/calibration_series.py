@@ -31,7 +31,7 @@ from ltsim.solve.design import NORMAL_RANK_TOLERANCE
 MAX_EM_STEPS = 2000
 """Largest number of steps of the expectation-maximisation, which converges linearly."""
 MAX_LOG_VARIANCE_CHANGE_AT_CONVERGENCE = 1e-4
-"""Change of every log variance in one step of the expectation-maximisation, below which the iteration ends."""
+"""Change of the log variances in one step of the expectation-maximisation at which the iteration ends."""
 
 
 class ChiSquareEntry(Entry):

@@ -300,7 +300,7 @@ def _bounded_step(
     norm: ObjectiveNorm,
     bound_in_prior_sigmas: float | None,
 ) -> Floats:
-    """Step that minimises the linearised objective, with unknowns within the bound of zero (None: unbounded)."""
+    """Step that minimises the linearised objective; each unknown stays within `bound_in_prior_sigmas` of zero."""
     design = comparisons.derivatives_by_unknowns[:, is_free_unknown]
     if bound_in_prior_sigmas is None:
         visible = _split_observable_combinations(comparisons, is_free_unknown)[0][is_free_unknown]

@@ -21,8 +21,8 @@ from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
 from ltsim.recordings.result_file import Entry, Finite, NotNegative
 
 MIN_STEPS_FOR_EVENT_TEST = 3
-"""Smallest number of steps (changes between successive calibrations) for which events are tested. The t-test then
-has two degrees of freedom."""
+"""Smallest number of steps (changes between successive calibrations) in a test for events. The t-test then has two
+degrees of freedom."""
 MIN_STEPS_TO_ESTIMATE_USUAL_CHANGES = 5
 """Smallest number of steps (changes between successive calibrations) from which the standard deviation of usual
 changes is estimated. The variance of the steps then has four degrees of freedom."""

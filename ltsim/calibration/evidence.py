@@ -21,8 +21,8 @@ MAX_COMBINED_TO_UNCORRELATED_SIGMA_RATIO = 0.25
 estimates of the parameters. A reported combination is thus determined at least four times better than its parameters
 suggest."""
 MAX_TRUNCATED_TO_FULL_SIGMA_RATIO = 1.2
-"""Largest factor by which the standard deviation of a combination may increase when the parameters with the smallest
-coefficients are omitted from it."""
+"""Limit of the factor by which the standard deviation of a combination of parameters increases if the parameters with
+the smallest coefficients are omitted. They are omitted only if the factor is smaller."""
 MIN_RELATIVE_REFERENCE_COEFFICIENT = 0.5
 """Smallest coefficient, relative to the largest one of a combination, of the reference parameter, which gets the
 coefficient 1. The first such parameter in the order of the model is used, for example the vertical index rather than
@@ -32,8 +32,8 @@ RELATIVE_EFFECT_SIZES = np.array(list(probability.PRIOR_BY_RELATIVE_EFFECT_SIZE)
 LOG_PRIOR_OF_EFFECT_SIZES = np.log(np.array(list(probability.PRIOR_BY_RELATIVE_EFFECT_SIZE.values())))
 """Logarithms of the prior probabilities of the sizes in `RELATIVE_EFFECT_SIZES`."""
 MAX_ENTRIES_FOR_SINGLE_LOG_SUM_EXP_CALL = 100
-"""Largest number of array entries for which one NumPy call computes a log-sum-exp. For larger arrays several
-vectorised calls are faster."""
+"""Largest number of array entries in a single NumPy call of log-sum-exp. For larger arrays several vectorised calls are
+faster."""
 _COSINE_NAME_PATTERN = re.compile(r"^(?P<front>.+[-_])cos(?P<order>\d?)$")
 """Regular expression of the names of cosine parameters, such as ``azimuth-eccentricity-cos`` and ``J1.eY_cos2``
 (order 2)."""

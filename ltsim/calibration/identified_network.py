@@ -37,7 +37,7 @@ from ltsim.recordings.result_file import ResultSource
 
 @dataclass(frozen=True)
 class IdentifiedNetwork:
-    """Adjusted network of a recording, with the identified single causes of its misfit in the model."""
+    """Adjusted network of a recording, with the identified causes of its misfit in the model."""
 
     adjustment: Adjustment
     """Adjustment with the identified causes in its model."""

@@ -32,8 +32,8 @@ from ltsim.recordings.summary import recording_noise_text
 FittedEntryT = TypeVar("FittedEntryT", FittedEffectEntry, ReflectorEntry)
 """Type of a result entry with estimated parameters: of an effect or of a reflector."""
 MIN_RELATIVE_HIDDEN_DISPLACEMENT = 0.2
-"""Smallest rms displacement of the targets by an error that does not change the readings, relative to their rms
-standard deviation, at which the error is reported."""
+"""Limit of the rms displacement of the targets by an error that does not change the readings, divided by their rms
+standard deviation. An error with a larger ratio is reported."""
 
 
 def uncertainty_factor(fit: FitEntry, *, is_sigma0_credible: bool | None = None) -> float:

@@ -83,8 +83,8 @@ def fit_with_requested_effects(
     """Adjustment with the requested effects, and the entry of each effect for the result.
 
     The stations, targets and shape parameters of each effect are selected with all previous effects in the model.
-    `adjust_with` is a function from effects to the adjustment with these. The `unreported_effects` are estimated first
-    and have no entry.
+    `adjust_with` makes the adjustment with given effects in its model. The `unreported_effects` are estimated first and
+    have no entry.
     """
     adjustment, fits = adjust_with(unreported_effects), list[FittedEffectEntry]()
     fit, fixed = Refit(adjustment, tuple(unreported_effects), ()), [frozenset[str]()] * len(unreported_effects)
@@ -167,7 +167,7 @@ def _law_size_entries(law: EmpiricalLaw, adjustment: Adjustment) -> tuple[Fitted
 def _effect_entries(
     effect: CandidateEffect, estimates: Sequence[ParameterEstimate], fixed_fields: frozenset[str]
 ) -> tuple[FittedParameterEntry, ...]:
-    """Entries of an effect for the result: sizes, then shape parameters (names, fixed numbers, estimated numbers).
+    """Result entries of an estimated effect: its sizes, then its shape parameters, both fixed and estimated ones.
 
     `fixed_fields` are the names of the shape parameters that the user fixed.
     """

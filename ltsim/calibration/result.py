@@ -101,7 +101,7 @@ def station_poses(adjustment: Adjustment, covariance: Floats | None = None) -> t
 
 
 def outlier_rows(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
-    """Entries of outlying readings: gross errors, other excluded readings, then outliers by w-test or tau-test."""
+    """Result entries of outlying readings: gross errors, other excluded readings, then those that tests flag."""
     recording = adjustment.recording
     whitened = np.nan_to_num(adjustment.residuals / adjustment.problem.reading_sigmas)
 
@@ -248,7 +248,7 @@ def _axes_notes(adjustment: Adjustment) -> tuple[str, ...]:
     )
     sentence = (
         f"coordinates in the axes of {source}: {len(accepted_tests)} targets fit it within {within:.3g} mm, "
-        f"which leaves the axes uncertain by {place} mm (x y z, at the centroid) and {turn} arcsec (1 sigma)"
+        f"which leaves the axes uncertain by {place} mm (x, y and z at the centroid) and {turn} arcsec (1 sigma)"
     )
     scale = scale_error_of_declared_axes(adjustment)
     if scale is not None:

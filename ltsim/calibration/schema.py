@@ -179,7 +179,7 @@ class OutlierRow(Entry):
     """p-value of the w-test, or of the tau-test if the noise is estimated, corrected for the number of readings. Null
     for excluded readings."""
     pointing_excluded: bool = False
-    """True if the whole pointing was excluded; the entry is then its reading with the largest residual."""
+    """True if the whole pointing was excluded; the entry then shows its reading with the largest residual."""
     excluded: bool = False
     """True if the reading was excluded from the adjustment."""
 

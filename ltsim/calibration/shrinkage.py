@@ -39,18 +39,18 @@ from ltsim.solve.design import to_dense
 CANDIDATE_PRIOR_SCALES = np.geomspace(1e-4, 1e4, 161)
 """Scales of the prior (factors on the declared standard deviations) that are tested, in steps of 12 %."""
 MIN_REJECTION_LOG_LIKELIHOOD_RATIO = 0.5 * float(special.chdtri(1, FAMILY_WISE_LEVEL))
-"""Log-likelihood ratio of the most likely scale of the prior to the declared scale 1, above which 1 is rejected."""
+"""Limit of the log-likelihood ratio of the most likely scale of the prior to the declared scale 1. If it is exceeded,
+the declared scale is rejected."""
 MAX_PLAUSIBLE_LOG_LIKELIHOOD_RATIO = 0.5 * float(special.chdtri(1, 2.0 * GLOBAL_TEST_LEVEL))
-"""Log-likelihood ratio of the most likely scale of the prior to another scale, up to which the other scale counts as
-plausible."""
+"""Largest log-likelihood ratio of the most likely scale of the prior to another plausible scale."""
 MAX_PRIOR_SCALE = 30.0
 """Largest plausible scale of the prior. A misfit that needs a larger scale is not caused by the instrument."""
 MIN_APPLIED_TO_ESTIMATED_CORRECTION_RATIO = 0.02
-"""Ratio of the applied to the estimated correction (rms change of a point) below which no correction is applied."""
+"""Smallest ratio of the applied to the estimated correction (rms change of a point) of an applied correction."""
 MIN_HELD_OUT_IMPROVEMENT = 2.0
-"""Decrease of the sum of squared held-out residuals by the omission of a parameter, above which it is omitted."""
+"""Smallest decrease of the sum of squared held-out residuals for which a parameter is omitted."""
 MAX_DENSE_UNKNOWNS = 500
-"""Largest number of unknowns for which a dense inverse or orthonormal basis is computed, because of processor time."""
+"""Largest number of unknowns with a dense inverse or orthonormal basis; it limits the processor time."""
 MIN_PREDICTED_TARGETS = 5
 """Smallest number of held-out targets for a test whether they are predicted better without a parameter."""
 

@@ -41,9 +41,8 @@ MAX_WEAK_COMBINATION_FIT_STEPS = 30
 """Largest number of Gauss-Newton steps per trial in a calibration by distances that also estimates weakly determined
 combinations of parameters."""
 MAX_LAST_STEP_AT_CONVERGENCE = 3e-5
-"""Largest change of an unknown in the last step, in prior standard deviations, at which a trial counts as converged.
-The remaining error is about a hundredth of this change.
-"""
+"""Largest change of an unknown in the last step of a converged trial, in prior standard deviations. The remaining error
+is about a hundredth of this change."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +118,10 @@ class BatchDistanceCalibrator(BatchCalibrator):
 
     @cached_property
     def _pair_difference_comparisons(self) -> DistanceComparisons:
-        """Differences of a target distance measured from two stations, or from a reference length, at zero errors."""
+        """Comparisons of distances between two targets: measured from two stations, or with a reference length.
+
+        They are computed from the nominal readings, for an instrument without errors.
+        """
         return pair_difference_comparisons(self.distance_problem, self._nominal_distances)
 
     @property

@@ -26,9 +26,8 @@ from ltsim.physics.model.incidence import IncidenceErrors
 from ltsim.solve.design import to_dense
 
 MAX_DISTANCE_TO_OPTIMUM = 5e-5
-"""Largest distance to the optimum at which a trial counts as converged. The distance is the norm of the remaining step,
-with each unknown divided by its standard deviation. A trial with a larger distance is calibrated again by
-`lt.calibrate`."""
+"""Largest distance of a converged trial from the optimum. The distance is the norm of the remaining step, with each
+unknown divided by its standard deviation. A trial with a larger distance is calibrated again by `lt.calibrate`."""
 MAX_NETWORK_FIT_STEPS = 8
 """Largest number of Gauss-Newton steps in the network adjustment of a trial."""
 MIN_ASSUMED_CONVERGENCE_RATE = 1e-3
@@ -74,7 +73,7 @@ def multiply_by_trial(matrix: Floats, columns: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class BatchNetwork(NominalNetwork):
-    """Network with nominal (error-free) readings, with which a batch of trials is adjusted."""
+    """Network linearised at nominal (error-free) readings, for the adjustment of many trials together."""
 
     def gauss_newton_step(self, gradient: Floats) -> Floats:
         """Gauss-Newton step (unknowns, trials); `gradient` is the negative gradient of half the sum of squares."""

@@ -22,8 +22,8 @@ from ltsim.simulation.simulator import measure_trial
 from ltsim.simulation.verbs import ScenarioSource, scenario
 
 MAX_EQUAL_READING_DIFFERENCE = 1e-6
-"""Largest difference [m, rad] between readings that count as equal. Rounding in a file gives smaller differences; the
-noise of two different recordings gives larger ones."""
+"""Largest difference [m, rad] between readings that count as equal. Rounding in a file causes smaller differences; the
+noise of two different recordings causes larger differences."""
 HELD_OUT_POINT_ERRORS_TABLE = Table(
     "new_points.csv",
     "rms errors, over stations and points, at points that no calibration used, including the noise of new readings",
@@ -42,7 +42,7 @@ HELD_OUT_POINT_ERRORS_TABLE = Table(
 
 @dataclass(frozen=True, repr=False)
 class HeldOutPointErrors(Result):
-    """Errors at new points after correction of the readings by each of several calibrations of one recording."""
+    """Errors at new points, for each of several calibrations of one recording, before and after their corrections."""
 
     errors_by_calibration: Mapping[str, CalibrationErrors]
     """Rms errors [m] at new points before and after correction of the readings, by name of the calibration."""

@@ -356,7 +356,7 @@ def _confidence_half_widths(folder: Path, statistic: str, n_shards: int) -> dict
 def _computed_shards(
     tasks: list[ShardTask], workers: WorkerSettings, store: CampaignFolder
 ) -> Iterator[tuple[ShardTask, bytes]]:
-    """Pairs of a task and the bytes of the file of rows (shard) that it computes, in the order of completion."""
+    """Pairs of a task and the file of rows (shard) that it computed, as bytes, in the order of completion."""
     pending_tasks = (
         replace(
             t, existing_rows=store.read_rows(t.cell, t.shard) if store.shard_path(t.cell, t.shard).exists() else None

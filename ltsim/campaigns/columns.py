@@ -90,7 +90,7 @@ def _column_metadata(name: str, parameters: Mapping[str, str]) -> dict[str, str]
 def append_factor_levels(
     table: pa.Table, factors: Sequence[Factor], level_by_factor: Mapping[str, Any], parameters: Mapping[str, str]
 ) -> pa.Table:
-    """Rows of one cell (combination of factor levels), with the levels of its factors as columns after `cell`.
+    """Rows of one cell (combination of factor levels), with its factor levels in the columns after the column `cell`.
 
     The metadata of the columns contain the units. `parameters` holds the unit of each parameter in the rows, by the
     label of the parameter.

@@ -32,7 +32,7 @@ RESERVED_COLUMN_NAMES = frozenset(
 )  # fmt: skip
 """Names of the columns that the rows of every campaign have; no factor may have such a name."""
 N_DESIGN_POINT_DIGITS = 4
-"""Number of significant digits to which values at design points are rounded, for readability; the points remain
+"""Number of significant digits of rounded values at design points. The rounding makes them readable; the points remain
 distinct."""
 MAX_DESIGN_KEYS = 64
 """Largest number of scenario keys that a design varies, each over a range of values."""
@@ -171,7 +171,7 @@ def cell_label(factors: Sequence[Factor], level_by_factor: Mapping[str, Any]) ->
     return ", ".join(f"{f.name} = {f.level_text(level_by_factor[f.name])}" for f in factors) or "as the scenario says"
 
 
-def with_shared_values(model: ModelType, base: ModelType) -> ModelType:
+def with_equal_values_from(model: ModelType, base: ModelType) -> ModelType:
     """Copy of `model`, a scenario or a table of one, that refers to the objects of `base` wherever values are equal.
 
     The scenarios of thousands of cells (combinations of factor levels) then take little more memory than one scenario.
@@ -182,7 +182,7 @@ def with_shared_values(model: ModelType, base: ModelType) -> ModelType:
         if repr(value) == repr(base_value):  # -0.0 equals 0.0, but the digest of a cell distinguishes them
             shared_values[name] = base_value
         elif isinstance(value, BaseModel) and type(value) is type(base_value):
-            shared_values[name] = with_shared_values(value, base_value)
+            shared_values[name] = with_equal_values_from(value, base_value)
         elif isinstance(value, dict):
             shared_values[name] = {
                 key: base_value[key] if key in base_value and repr(base_value[key]) == repr(entry) else entry
@@ -215,10 +215,10 @@ def _shared_json_part(value: Any, part_by_text: dict[str, Any]) -> Any:
 
 
 def require_small_manifest(scenario: Scenario, n_cells: int, path: Path) -> None:
-    """Check that the scenarios of all cells together have at most `MAX_MANIFEST_VALUES` values.
+    """Check that the scenarios of a campaign have at most `MAX_MANIFEST_VALUES` values together.
 
-    A cell is a combination of factor levels; `scenario` is the base scenario of the `n_cells` cells. InputError names
-    the campaign file `path`.
+    `scenario` is the base scenario of the `n_cells` cells (combinations of factor levels). InputError names the
+    campaign file `path`.
     """
     text = scenario.model_dump_json(by_alias=True)
     n_values = n_cells * (text.count(",") + text.count("[") + text.count("{"))
@@ -232,7 +232,7 @@ def require_small_manifest(scenario: Scenario, n_cells: int, path: Path) -> None
 def require_few_cells(n_cells: int, n_effects_by_method: Sequence[int]) -> None:
     """Check that a campaign has at most `MAX_CELLS` cells and `MAX_STATISTICS` statistics; raises ValueError.
 
-    A cell is a combination of factor levels. `n_effects_by_method` holds the number of effects that each calibration
+    A cell is a combination of factor levels. `n_effects_by_method` is the number of effects that each calibration
     method estimates.
     """
     if n_cells > MAX_CELLS:

@@ -36,8 +36,8 @@ MAX_EFFECT_DRAWS = 25
 """Largest number of attempts to draw the unspecified values of an effect. If no attempt changes the residuals, an error
 is raised."""
 MIN_LOCATION_OVERLAP = 0.5
-"""Smallest overlap at which a reported group of stations or targets counts as the group of the injected effect. The
-overlap is the number of members in both groups divided by the number in at least one (Jaccard index)."""
+"""Smallest overlap of a reported group of stations or targets with the group of the injected effect, for a correct
+location. The overlap is the number of members in both groups divided by the number in at least one (Jaccard index)."""
 
 
 def inject(
@@ -273,7 +273,7 @@ def _drawn_effect(
 
 
 def _split_parameter_values(effect_specification: str) -> tuple[str, dict[str, float]]:
-    """Text of an effect's specification without the parameter values in it, and these values by parameter name."""
+    """Specification of an effect without its parameter values, as text, and the parameter values by name."""
     name, _, rest = effect_specification.partition(":")
     names = {LAW_AMPLITUDE_NAME} if "~" in name else {p.name for p in find_effect(name.strip()).parameters}
     items, sizes = [part.strip() for part in rest.split(",") if part.strip()], {}

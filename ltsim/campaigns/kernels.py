@@ -14,8 +14,8 @@ from ltsim.campaigns.kinematic_chain import ChainArrays
 from ltsim.core.arrays import Floats, Ints
 
 NEWTON_STEP_TOLERANCE = 1e-9
-"""Step [m, rad] below which Newton's method for the inversion of the kinematic chain ends; the remaining error is at
-most 1e-4 of the step."""
+"""Step [m, rad] at which Newton's method for the inversion of the kinematic chain ends; the remaining error is at most
+1e-4 of the step."""
 MAX_BATCH_NEWTON_STEPS = 8
 """Largest number of Newton steps for the inversion of the kinematic chain (readings from target positions)."""
 

@@ -57,8 +57,8 @@ from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.verbs import ScenarioSource, scenario as scenario_of, simulate
 
 MAX_EARLY_FAILURES = 3
-"""Number of failed trials of an external calibrator after which a run ends, because a command that does not work fails
-in every trial. One failed trial is enough for the convergence check to fail."""
+"""Number of failed trials of an external calibrator that ends a run, because a command that does not work fails in
+every trial. One failed trial is enough for the convergence check to fail."""
 MAX_LISTED_PARAMETERS = 3
 """Largest number of parameters that a sentence lists; tables and files contain all parameters."""
 
@@ -158,9 +158,9 @@ class Recovery(ResultFile):
         count = len(self.parameters)
         return [
             f"The calibrator estimates {count} parameter{'' if count == 1 else 's'} ({names}). In the comparison "
-            f"ltsim estimates {len(self.ltsim_parameters)}, also {names_text(more, MAX_LISTED_PARAMETERS)}. Its errors "
-            "contain the uncertainty of these further parameters; the errors of the calibrator contain "
-            "their neglected effects."
+            f"ltsim estimates {len(self.ltsim_parameters)}, also {names_text(more, MAX_LISTED_PARAMETERS)}. These "
+            "further parameters increase the uncertainty of the estimates of ltsim; the calibrator, which neglects "
+            "them, has errors from their effects."
         ]
 
     def verdict_text(self) -> str:

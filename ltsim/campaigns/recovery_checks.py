@@ -23,7 +23,7 @@ RECOVERY_FALSE_ALARM_RATE = 0.01
 NOMINAL_COVERAGE = 0.95
 """Nominal fraction of the confidence intervals that contain the true value."""
 MIN_RECOVERY_TRIALS = 2
-"""Smallest number of trials for which a standard deviation is computed."""
+"""Smallest number of trials with a computed standard deviation."""
 MEAN_Z_MARGIN = 0.1
 """Permitted deviation of the mean z-score (error / sigma) from 0, in addition to its sampling error."""
 STANDARD_DEVIATION_Z_MARGIN = 0.05

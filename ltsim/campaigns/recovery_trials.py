@@ -226,14 +226,14 @@ class RecoveryTrials(ValueEquality):
         """Scores of the trials with a result."""
         return [trial for trial in self.trial_scores if trial is not None]
 
-    def _stack_attribute(self, attribute: str) -> Floats:
+    def _attribute_by_trial(self, attribute: str) -> Floats:
         """Array (trials, parameters) of one attribute of `TrialScore`, for all trials with a result."""
         return np.stack([getattr(trial, attribute) for trial in self.available_trial_scores])
 
     @property
     def z_scores(self) -> Floats:
         """Errors divided by declared standard deviations, (trials, parameters), for the trials with a result."""
-        return self._stack_attribute("z_scores")
+        return self._attribute_by_trial("z_scores")
 
     def unchecked_parameters(self) -> tuple[str, ...]:
         """Names of the parameters without a check: they have neither a sigma in each trial nor a tolerance."""
@@ -257,7 +257,7 @@ class RecoveryTrials(ValueEquality):
         """Statistics of each parameter's errors, also for ltsim's calibrator if an external calibrator is checked."""
         columns: dict[str, Sequence[float]] = {}
         if len(self.available_trial_scores) >= MIN_RECOVERY_TRIALS:
-            error, z = self._stack_attribute("estimates") - self._stack_attribute("true_values"), self.z_scores
+            error, z = self._attribute_by_trial("estimates") - self._attribute_by_trial("true_values"), self.z_scores
             is_covered = np.abs(z) <= stats.norm.isf(0.5 * (1 - NOMINAL_COVERAGE))
             columns = {
                 "rms_error": np.sqrt(np.mean(error**2, axis=0)).tolist(),
@@ -311,7 +311,7 @@ class RecoveryTrials(ValueEquality):
         """Checks of one parameter with false-alarm rate `alpha`; its z-scores are checked if every trial has one."""
         name, standard, z = (
             self.parameter_names[parameter_index],
-            self._stack_attribute("prior_independent_z_scores")[:, parameter_index],
+            self._attribute_by_trial("prior_independent_z_scores")[:, parameter_index],
             self.z_scores[:, parameter_index],
         )
         foreign, checks = self.available_trial_scores[0].is_from_external_calibrator, list[RecoveryCheck]()
@@ -324,8 +324,8 @@ class RecoveryTrials(ValueEquality):
         if self.tolerance_by_parameter:
             given = self.tolerance_by_parameter[name]
             error = (
-                self._stack_attribute("estimates")[:, parameter_index]
-                - self._stack_attribute("true_values")[:, parameter_index]
+                self._attribute_by_trial("estimates")[:, parameter_index]
+                - self._attribute_by_trial("true_values")[:, parameter_index]
             )
             checks.append(tolerance_check(name, error, given.error_limit_95, given.text))
         return checks

@@ -208,7 +208,7 @@ def _sorted_factor_levels(levels: Iterable[Any]) -> list[Any]:
 
 
 MAX_FACTOR_LEVEL_ROUNDING_ERROR = 5e-4
-"""Largest relative difference between a factor level and the number by which a user requests it, so that a number with
+"""Largest relative difference between a factor level and a number in a user's request for this level. A request with
 three digits is sufficient."""
 CellAndMethod = tuple[int, str]
 """Index of a cell (combination of factor levels), from 0, and name of a calibration method."""
@@ -335,10 +335,10 @@ def _requested_level(factor_name: str, requested_level: Any, levels: Sequence[An
 def _trial_numbers_and_values(
     results: CampaignStatistics, statistic: str, cell: int, method: str
 ) -> tuple[Floats, Floats]:
-    """Trial numbers (trials,) of a cell and method, and the values whose means give the statistic.
+    """Trial numbers (trials,) of a combination of factor levels and a method, and values whose means give a statistic.
 
-    A cell is a combination of factor levels. The values have the shape (1, trials) for a mean, and (2, trials),
-    numerator and denominator, for a ratio of means.
+    `cell` is the index of the combination. The values have the shape (1, trials) for a mean, and (2, trials), numerator
+    and denominator, for a ratio of means.
     """
     expressions = statistic_sql_expressions(statistic)
     table = results.sql_expression_values(("trial", *expressions), cell, method, f"{expressions[0]} IS NOT NULL")

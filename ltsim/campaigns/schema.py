@@ -44,7 +44,7 @@ MEASURED_POINT_ERROR_MEANING = (
 HELD_OUT_POINT_MEANING_PREFIX = (
     "error at the held-out points of `validation_points`, whose readings no calibration used: "
 )
-"""Beginning of the meaning of result columns with an error at held-out points, for tables and documentation."""
+"""First words of the meaning of result columns with an error at held-out points, for tables and documentation."""
 REMOVED_ERROR_FRACTION_MEANING = (
     "(R - C) / (R - P), where R, C and P are the mean squares of {0}error_raw_um, {0}error_calibrated_um and "
     "{0}error_true_parameters_um over all trials of a cell (combination of factor levels) and method: 1 for a "
@@ -153,7 +153,7 @@ def error_columns_of_ratio(ratio_name: str) -> tuple[str, str, str]:
 def number_of_shards(n_trials: int, trials_per_shard: int, n_cells: int = 1) -> int:
     """Number of files of rows (shards) of a campaign with `n_cells` cells of `n_trials` trials.
 
-    A cell is a combination of factor levels. ValueError is raised above `MAX_SHARDS`.
+    A cell is a combination of factor levels. ValueError is raised for more than `MAX_SHARDS` files.
     """
     n_shards = n_cells * -(-n_trials // trials_per_shard)
     if n_shards > MAX_SHARDS:

@@ -28,7 +28,7 @@ nearly all of the error comes from the prior of the parameter, and the parameter
 
 @dataclass(frozen=True)
 class NetworkScore:
-    """Scores of the adjusted network of a trial as a whole; NaN for a score that does not exist."""
+    """Mean squared z-scores and chi-square of the adjusted network of a trial; NaN for a missing quantity."""
 
     target_mean_square_z: float = np.nan
     """Mean squared z-score (error / sigma) over all coordinates of targets."""
@@ -165,8 +165,8 @@ class TrueParameterDistribution:
         return not np.any(self.mean_true_values) and bool(np.all(self.true_value_sigmas == 1.0))
 
     @property
-    def missing_variance_fraction(self) -> Floats:
-        """Fraction (parameters,) of the prior variance by which the variance of the true parameters is smaller."""
+    def prior_variance_deficit_fraction(self) -> Floats:
+        """Fraction (parameters,) by which the variance of the true parameters is below their prior variance."""
         return 1.0 - self.true_value_sigmas**2
 
 
@@ -196,7 +196,7 @@ def score_calibration(
     prior = calibration.prior_sigma.ravel()
     error, sigma_scaled = (calibration.estimates.ravel() - true) / prior, calibration.sigma.ravel() / prior
     missed = expected.bias_matrix[:n_parameters]
-    variance = sigma_scaled**2 - missed**2 @ expected.missing_variance_fraction
+    variance = sigma_scaled**2 - missed**2 @ expected.prior_variance_deficit_fraction
     noisy = variance > MIN_NOISE_VARIANCE_FRACTION * sigma_scaled**2
     standard = np.where(
         noisy, (error + missed @ expected.mean_true_values) / np.sqrt(np.where(noisy, variance, 1.0)), np.nan
@@ -252,7 +252,7 @@ def _expected_chi2(calibration: Calibration, expected_truth: TrueParameterDistri
         expected_truth.mean_true_values,
     )
     lean = float(mean @ resolved @ mean)
-    return dof + lean - float(np.diag(resolved) @ expected_truth.missing_variance_fraction), float(
+    return dof + lean - float(np.diag(resolved) @ expected_truth.prior_variance_deficit_fraction), float(
         np.sqrt(2 * dof + 4 * lean)
     )
 
@@ -279,7 +279,7 @@ def _network_mean_square_z(
         pick = np.zeros((len(size), len(expected.mean_true_values)))
         pick[expected.network_column_indices, np.arange(len(expected.mean_true_values))] = 1.0 / expected.prior_sigmas
         missed = adjustment.factorised_normals.multiply_by_covariance(pick)
-        bias, less = -missed @ expected.mean_true_values, missed**2 @ expected.missing_variance_fraction
+        bias, less = -missed @ expected.mean_true_values, missed**2 @ expected.prior_variance_deficit_fraction
     points = (truth.target_points - origin) @ turn + held.station_positions[0]
     variance = np.einsum("tii->ti", calibration.target_covariances) - less[unknowns.target_columns]
     targets = float(np.mean((calibration.target_points - points - bias[unknowns.target_columns]) ** 2 / variance))

@@ -61,7 +61,7 @@ the kinematic chain."""
 
 @dataclass(frozen=True)
 class ShardTask:
-    """Task of a worker process: computation of one shard, a file with rows of trials for one cell.
+    """Task of a worker process: computation of one shard, a file with trials of one combination of factor levels.
 
     A cell is a combination of factor levels.
     """

@@ -21,7 +21,7 @@ from ltsim.campaigns.design import (
     require_small_manifest,
     short_key_names,
     with_cad_digests,
-    with_shared_values,
+    with_equal_values_from,
 )
 from ltsim.campaigns.schema import (
     RESULT_COLUMNS,
@@ -281,7 +281,7 @@ def load_campaign(
     for number, values in enumerate(campaign.scenario_changes_of_cells(), start=1):
         where = f"{path}: cell {number}"
         inside = {key: convert_value(units, key, value, where) for key, value in values.items()}
-        items.append(with_shared_values(change_scenario(base, inside, path, where), base))
+        items.append(with_equal_values_from(change_scenario(base, inside, path, where), base))
     return campaign, tuple(items)
 
 

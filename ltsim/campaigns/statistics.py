@@ -56,8 +56,8 @@ DATABASE_SETTINGS: dict[str, Any] = {
 }
 """Settings of the database DuckDB; no query or file can make it download or load an extension."""
 MAX_ROWS_FOR_EXACT_QUANTILES = 50_000_000
-"""Largest number of rows for which quantiles are exact. They need all values of a column in memory; for more rows they
-are approximated (t-digest)."""
+"""Largest number of rows with exact quantiles. They need all values of a column in memory; for more rows they are
+approximated (t-digest)."""
 
 MAX_Z_SCORE_BLOCK_CELLS = 256
 """Largest number of cells (combinations of factor levels) whose z-scores are summarised together; a summary of one
@@ -195,7 +195,7 @@ class CampaignStatistics:
         return ((column, self.statistic_summaries(column)) for column in self._summarised_columns())
 
     def _summarised_columns(self) -> list[str]:
-        """Names of the columns and ratios in the summary: all except those of single parameters."""
+        """Names of the columns and ratios in the summary: all except those that exist once per parameter."""
         is_of_parameter = ("z:", "estimate:", "true:")
         return [c for c in self.columns if not c.startswith(is_of_parameter) and c != SOLVER_DIFFERENCE_COLUMN]
 
@@ -207,7 +207,7 @@ class CampaignStatistics:
             return dict(zip(names, zip(*rows.fetchall(), strict=True), strict=True))
 
     def with_factor_levels(self, entries: Iterable[Entry]) -> Iterator[dict[str, Any]]:
-        """Entries (one per combination of factor levels and method) as mappings, with these levels added."""
+        """Entries as mappings, each with its factor levels added."""
         for entry in entries:
             row = entry.model_dump(mode="json")
             yield {"cell": row["cell"]} | self.levels[row["cell"]] | row
@@ -286,7 +286,7 @@ class CampaignStatistics:
     def _query_each_cell(
         self, expressions: str, condition: str = "true", row_selection: str = "rows"
     ) -> list[tuple[Any, ...]]:
-        """Result of an SQL query with the given expressions, one row per combination of factor levels and method."""
+        """Result of an SQL query of the `expressions`, one row per combination of factor levels and method."""
         sql = f"SELECT cell, method, {expressions} FROM {row_selection} WHERE {condition} "
         sql += "GROUP BY cell, method ORDER BY cell, method"
         if self._has_copied_rows:
@@ -346,7 +346,7 @@ class CampaignStatistics:
         return [*self.iterate_z_score_summaries()]
 
     def iterate_z_score_summaries(self) -> Iterator[ZScoreSummary]:
-        """Summaries of the z-scores in the order of `z_score_summaries`, computed for blocks of cells.
+        """Summaries of the z-scores in the order of `z_score_summaries`, computed cell by cell in blocks.
 
         A cell is a combination of factor levels. Rows that are read from their files for each query are queried once.
         """

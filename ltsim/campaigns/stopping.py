@@ -43,7 +43,7 @@ def student_t_quantile(n_values: int, error_rate: float) -> float:
 
 
 def interval_error_rate(n_trials: int, shard_size: int, *, is_stopping: bool) -> float:
-    """Error rate of each confidence interval of a cell, so that all its intervals together have `INTERVAL_ERROR_RATE`.
+    """Error rate of each confidence interval of a cell, so that all intervals of the cell have `INTERVAL_ERROR_RATE`.
 
     A cell is a combination of factor levels, `n_trials` is its largest number of trials, and `shard_size` is the number
     of trials in a file of rows (shard). With `is_stopping`, the campaign has a stopping rule and therefore several

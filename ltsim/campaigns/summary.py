@@ -58,9 +58,9 @@ class StatisticSummary(CellMethodEntry):
 
 
 class ZScoreSummary(CellMethodEntry):
-    """Summary of the z-scores, (estimate - true value) / sigma, of one parameter for a cell and method.
+    """Summary of the z-scores, (estimate - true value) / sigma, of one parameter in one combination of factor levels.
 
-    A cell is a combination of factor levels. The z-scores are standard normal if the true values are drawn from the
+    There is one summary per calibration method. The z-scores are standard normal if the true values are drawn from the
     prior of the parameter and the covariance is correct.
     """
 

@@ -31,12 +31,12 @@ from ltsim.recordings.references import ReferenceLengths
 from ltsim.simulation.simulator import with_certified_reference_lengths
 
 MIN_GROSS_ERROR_DISPLACEMENT_M = 0.6e-3
-"""Displacement [m] of a measured point from its nominal position above which the trial may contain a gross error. If
-`MIN_GROSS_ERROR_DISPLACEMENT_RATIO` is exceeded too, the trial is calibrated by `lt.calibrate`, which rejects gross
-errors."""
+"""Limit of the displacement [m] of a measured point from its nominal position. If this limit and
+`MIN_GROSS_ERROR_DISPLACEMENT_RATIO` are exceeded, the trial may contain a gross error, and is calibrated by
+`lt.calibrate`, which rejects gross errors."""
 MIN_GROSS_ERROR_DISPLACEMENT_RATIO = 10.0
-"""Ratio of the largest to the median displacement of measured points from their nominal positions, above which a trial
-may contain a gross error."""
+"""Limit of the ratio of the largest to the median displacement of measured points from their nominal positions. If it
+is exceeded, the trial may contain a gross error."""
 
 
 @dataclass(frozen=True)

@@ -28,8 +28,8 @@ from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import GeometricErrorModel, ideal_construction
 
 MAX_COLLINEAR_SPREAD_RATIO = 1e-3
-"""Largest ratio of the spread of targets perpendicular to a line to their spread along it, at which they count as
-collinear. Collinear targets determine no frame, because the rotation about the line is undetermined."""
+"""Limit of the spread of targets across a line, divided by their spread along it. Targets with a smaller ratio count as
+collinear; they determine no frame, because the rotation about the line is undetermined."""
 
 
 @dataclass(frozen=True)

@@ -48,9 +48,9 @@ from ltsim.simulation.workshop import WorkshopLayout
 FULL_TURN_RAD = 2 * np.pi
 """Full turn [rad]."""
 MAX_EFFECT_NONLINEARITY_SIGMAS = 1e-3
-"""Largest nonlinearity at which the linear form of an effect is used for all trials. It is the difference between exact
-and linear change of a reading by an effect of three prior standard deviations, divided by the sigma of the reading. For
-a larger nonlinearity the exact change is computed trial by trial."""
+"""Limit of the nonlinearity of an effect: difference between exact and linear change of a reading by three prior
+standard deviations of the effect, divided by the sigma of the reading. Below the limit, the linear form is used for all
+trials; above it, the exact change is computed trial by trial."""
 
 MAX_CACHED_EFFECT_DESIGNS = 8
 """Largest number of cached design matrices of effects per network geometry, one for each combination of effects."""

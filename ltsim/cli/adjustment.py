@@ -29,8 +29,9 @@ if TYPE_CHECKING:
     from ltsim.recordings import Recording
 
 MIN_REPORTED_READING_CHANGE = 0.005
-"""Change of the readings [um for distances, arcsec for angles] from which on `correct` reports a correction; after a
-smaller one it reports that the readings do not change. It is half of the last digit that is printed for an angle."""
+"""Smallest change of the readings [um for distances, arcsec for angles] that `correct` reports as a correction. It is
+half of the last digit that is printed for an angle. After a smaller change, the command states that the readings do not
+change."""
 CorrectedRecordingOption = Annotated[
     Path, typer.Option("--out", metavar="REC2", help="Folder of the corrected recording."), RECORDING_OUTPUT
 ]

@@ -205,7 +205,7 @@ JunitFileOption = Annotated[
 TRUE_ERROR_ORIGIN_TEXTS = {"drawn": "drawn from the prior", "stated": "given by the scenario"}
 """Text that says where the true instrument errors come from, by the field `error_origin` of a recovery."""
 MIN_TRIALS_FOR_SEVERAL_PROCESSES = 100
-"""Number of trials from which on several processes are used by default; for fewer trials one process is faster."""
+"""Smallest number of trials for several processes by default; for fewer trials one process is faster."""
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,7 @@ ForceOption = Annotated[
 PAGE_GENERATOR_TAG = '<meta name="generator" content="ltsim'
 """HTML text by which a page written by ltsim is recognised."""
 N_BYTES_SEARCHED_FOR_FORMAT = 4096
-"""Number of bytes at the beginning of a file in which the text that identifies files of ltsim is searched."""
+"""Number of bytes at the beginning of a file that are searched for the text that identifies files of ltsim."""
 LTSIM_FILE_PATTERN = re.compile(rf'"?format"? ?[:=] ?"ltsim-|{re.escape(PAGE_GENERATOR_TAG)}')
 """Regular expression for the beginning of a file in a format of ltsim, written by a command or by a user."""
 
@@ -315,7 +315,7 @@ RECORDING_OUTPUT = OutputKind(check_recording_folder)
 EMPTY_FOLDER_OUTPUT = OutputKind(check_empty_folder)
 """Kind of output folder that must be new or empty."""
 RESULT_FOLDER_OUTPUT = OutputKind(lambda folder, force: check_writable(folder, is_folder=True))
-"""Kind of output folder for which only write permission is checked here; the command checks the files to be replaced.
+"""Kind of output folder of which ltsim checks only the write permission here; the command checks files to be replaced.
 """
 FILE_OR_FOLDER_OUTPUT = OutputKind(lambda path, force: check_writable(path, is_folder=path.is_dir()))
 """Kind of output that is a file or a folder, depending on other options; only write permission is checked."""

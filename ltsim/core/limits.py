@@ -106,9 +106,8 @@ MAX_RESULT_TEXT_CHARACTERS = 20_000
 """Largest number of characters of a text in a result file; the longest that ltsim writes has 1,000, without texts of
 the user."""
 MAX_RESULT_MEAN_TEXT_CHARACTERS = 10
-"""Largest mean number of characters of the texts of a result file that has the largest permitted number of texts; its
-product with `MAX_RESULT_TEXTS` is the largest number of characters of all texts.
-"""
+"""Largest mean number of characters of the texts in a result file, if the file has the largest permitted number of
+texts. The product with `MAX_RESULT_TEXTS` is the largest number of characters of all texts together."""
 
 MAX_UNCERTAINTY_TASK_RESULTS = 1_000
 """Largest number of results of all tasks together in one evaluation of uncertainty. The result file contains the

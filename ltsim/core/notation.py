@@ -14,9 +14,9 @@ from ltsim.core.errors import ModelError
 MISSING_TEXT = "-"
 """Text for a missing number, in place of `nan`."""
 MAX_LISTED_ITEMS = 6
-"""Largest number of names or numbers that a sentence lists; all further ones are only counted."""
+"""Largest number of names or numbers that a sentence lists; a sentence gives only the number of all others."""
 MAX_LISTED_SENTENCES = 4
-"""Largest number of sentences of one kind that are displayed; further ones are only counted."""
+"""Largest number of sentences of one kind that are displayed; of all others only the number is displayed."""
 MAX_SIGMA_DECIMALS = 12
 """Largest number of decimals in a displayed standard deviation; standard deviations below 1e-12 are displayed as 0."""
 INTERPRETED_START_CHARACTERS = ("=", "+", "-", "@", "'", "#")

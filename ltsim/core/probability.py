@@ -3,7 +3,7 @@
 import math
 
 MIN_REPORTED_P_VALUE = 1e-6
-"""Smallest p-value that is reported as a number; smaller ones are reported as `< 1e-6`, because no test is exact
+"""Smallest p-value that is reported as a number; smaller p-values are reported as `< 1e-6`, because no test is exact
 there."""
 TWO_SIDED_GLOBAL_TEST_LEVEL = 0.02
 """Significance level of the two-sided global test (chi-square), 1 % on each side: readings and model disagree if the

@@ -150,7 +150,7 @@ def number_columns(format_text: str = "", display_format: str = "", **columns: s
 
 
 def flag_columns(**columns: str) -> tuple[Column, ...]:
-    """Columns that hold true or false; the arguments are names and the meaning of true, `name="True if ..."`."""
+    """Columns with the values true and false; arguments `name="True if ..."` give name and meaning of true."""
     return tuple(Column(name, about, "flag") for name, about in columns.items())
 
 

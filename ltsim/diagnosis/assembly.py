@@ -121,7 +121,7 @@ def assemble_diagnosis(
 def _reported_findings(
     test_findings: Sequence[Finding], shift_findings: Sequence[Finding], noise_findings: Sequence[Finding]
 ) -> list[Finding]:
-    """Findings of a diagnosis: first probable errors of readings, then others, each by decreasing drop of chi-square.
+    """Findings of a diagnosis: probable errors of readings, then all others, each by decreasing drop of chi-square.
 
     They are findings of tests (such as blunders), of effects that shift readings, and on changed noise levels.
     Improbable findings on the noise are reported only if there is no other finding. As in `select_causes`, errors of
@@ -162,10 +162,10 @@ def _averaged_targets_and_reading_change(
 def _noise_finding(
     hypothesis: NoiseHypothesis, sightings: Sightings, global_test: GlobalTestResult, *, has_clock: bool = True
 ) -> Finding:
-    """Finding that reports a selected noise hypothesis, limited to the observables whose noise differs significantly.
+    """Finding on a selected hypothesis of changed noise, limited to observables whose noise differs significantly.
 
     `global_test` has the p-value of the finding. `has_clock` is True if the recording has times, so that intervals of
-    time are texts of times and not of rows. A noise hypothesis is a changed noise.
+    time are texts of times and not of rows.
     """
     effect = hypothesis.effect
     scope = effect_scope(effect, _observables_with_changed_noise(hypothesis, sightings))

@@ -186,10 +186,10 @@ def alternative_probabilities_and_reading_changes(
 ) -> tuple[Floats, Floats]:
     """Probabilities (k,) of k possible causes, and the change (k, m) of m whitened readings by each cause.
 
-    The first cause is the effect `selected_hypothesis`, the last one is no effect. Noise hypotheses shift no reading,
-    so that their probabilities are added to that of no effect. `reduced_model` is the model without the selected
-    effect, and `ranking` contains its alternatives. Log evidences are divided by `temperature`; a value above 1 makes
-    the probabilities more equal. A noise hypothesis is a changed noise.
+    The first cause is the effect `selected_hypothesis`, the last one is no effect. Hypotheses of changed noise shift no
+    reading, so that their probabilities are added to that of no effect. `reduced_model` is the model without the
+    selected effect, and `ranking` contains its alternatives. Log evidences are divided by `temperature`; a value above
+    1 makes the probabilities more equal.
     """
     none, *rest_of = normalised_probabilities(
         np.array([ranking.log_evidence_of_no_cause, *(h.log_evidence for h in ranking.hypotheses)]) / temperature
@@ -219,14 +219,14 @@ def reading_change_by_combined_hypotheses(
 ) -> Floats:
     """Posterior mean (m,) of the change of m whitened readings by an empirical law with an uncertain function.
 
-    The true function of the covariates is hardly ever one of the hypotheses; it is near several of them. The prior of
-    the change is therefore one normal distribution. Its covariance is the mean of the covariances of the hypotheses
-    that change the same observables as `selected_hypothesis`, weighted by their probabilities. This is the covariance
-    of the mixture of their priors. Log evidences are divided by `temperature`; a value above 1 makes the probabilities
-    more equal. `reduced_model` is the model without the selected hypothesis, and `ranking` contains its alternatives.
-    The number of combined hypotheses is limited to those with a probability above
-    `MIN_PROBABILITY_OF_AVERAGED_EXPLANATION`, and by the memory for their design matrices. An empirical law is an error
-    as a function of covariates.
+    An empirical law describes an error as a function of covariates. The true function of the covariates is hardly ever
+    one of the hypotheses; it is near several of them. The prior of the change is therefore one normal distribution. Its
+    covariance is the mean of the covariances of the hypotheses that change the same observables as
+    `selected_hypothesis`, weighted by their probabilities. This is the covariance of the mixture of their priors. Log
+    evidences are divided by `temperature`; a value above 1 makes the probabilities more equal. `reduced_model` is the
+    model without the selected hypothesis, and `ranking` contains its alternatives. The number of combined hypotheses is
+    limited to those with a probability above `MIN_PROBABILITY_OF_AVERAGED_EXPLANATION`, and by the memory for their
+    design matrices.
     """
     space, basis = searcher.residual_space, reduced_model.projected_basis
     observables = set(selected_hypothesis.effect.observables)

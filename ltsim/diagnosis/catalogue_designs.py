@@ -37,7 +37,7 @@ from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
 MAX_NONZERO_ROW_FRACTION_OF_SPARSE_DESIGN = 0.15
-"""Fraction of nonzero rows below which a design matrix is stored as sparse; it affects only the computing time."""
+"""Largest fraction of nonzero rows of a design matrix that is stored as sparse, to save computing time."""
 MAX_LOCAL_OPTIMA_PER_CATALOGUE_EFFECT = 3
 """Largest number of local optima of a catalogue effect, over stations, targets and shape parameters, that are
 evaluated."""
@@ -66,7 +66,7 @@ def catalogue_candidate_effects(sightings: Sightings, instruments: Sequence[str]
 
 @dataclass(frozen=True)
 class EffectDesignGroup:
-    """Group of h effects with the same number k of parameters, whose design columns are stored in one matrix.
+    """Group of h effects with k parameters each, whose design columns are stored in one matrix.
 
     The matrix is sparse, or dense on the r observation equations that the effects change.
     """
@@ -81,7 +81,7 @@ class EffectDesignGroup:
     """Transposed design columns (h k, r) of h effects with k parameters on r observation equations, in units of
     plausible sizes."""
     row_factors: Floats32
-    """Factors (r,) on the r stored observation equations, for an adjustment with other weights of the readings."""
+    """Factors (r,) by which the r stored observation equations are multiplied, if an adjustment has other weights."""
     unprojected_gram: Floats
     """Gram matrices (h, k, k) of the k design columns of each of h effects, before projection onto the residual space
     (whitened equations projected off the unknowns)."""
@@ -160,11 +160,11 @@ class CatalogueDesigns:
 
     @cached_property
     def log_prior_by_family(self) -> Floats:
-        """Log prior probability (families,) of each catalogue effect, summed over its places and shapes."""
+        """Log prior probability (families,) of each catalogue effect, summed over its places and shape parameters."""
         return log_prior_by_base_rate("named", self.family_names)
 
     def log_prior_of_family(self, family_name: str) -> float:
-        """Log prior probability of the catalogue effect named `family_name`, summed over its places and shapes.
+        """Log prior probability of the catalogue effect named `family_name`, summed over its variants.
 
         It is defined also for effects that are not tried, such as wrong readings in a large recording.
         """
@@ -228,9 +228,9 @@ class CatalogueDesigns:
         return cls(touching, effect_groups, names, family_indices, space.n_equations, space.reading_sigmas)
 
     def with_weights_of(self, new_space: ResidualSpace) -> CatalogueDesigns:
-        """Copy of the design matrices with the weights of another adjustment of the same readings.
+        """Copy of the designs with the weights of the readings in another adjustment of the same recording.
 
-        `new_space` has the whitened equations of that adjustment; its slightly different poses are not used.
+        `new_space` is the residual space of that adjustment. Its slightly different poses are neglected.
         """
         ratio = np.ones(new_space.n_equations, dtype=np.float32)
         is_used = new_space.is_used_reading
@@ -273,10 +273,10 @@ class CatalogueDesigns:
         return values, family_sums.log_mean_evidence_over_variants, replace(self, groups=screened_groups)
 
     def effects_grouped_by_family(self) -> list[list[Effect]]:
-        """Variants (places, shape parameters) of each effect, without most effects of the ordinary calibration.
+        """Variants (places, shape parameters) of each effect that a diagnosis tries.
 
-        The range scale is included, because a network without a known length absorbs it completely. `calibrate` reports
-        the other instrument constants.
+        Most instrument constants are left out, because `calibrate` reports them. The range scale is included, because a
+        network without a known length absorbs it completely.
         """
         families: list[list[Effect]] = [[] for _ in self.family_names]
         for family, effect in zip(self.family_indices.tolist(), self.effects, strict=True):
@@ -316,7 +316,7 @@ class CatalogueDesigns:
 
 @dataclass(frozen=True)
 class FamilyEvidenceSums:
-    """Sums of the evidence of each catalogue effect over its added variants, in simulated recordings.
+    """Sums of the evidence over the variants of each catalogue effect, in simulated recordings.
 
     A variant has given stations, targets and shape parameters; the variants of one effect are a family.
     """
@@ -324,7 +324,7 @@ class FamilyEvidenceSums:
     family_indices: Ints
     """Index (h,) of the family (catalogue effect) to which each of h variants (places, shape parameters) belongs."""
     log_sums: Floats
-    """Log (families, trials) of the evidence summed over the added places and shapes of each effect, per simulation."""
+    """Log (families, trials) of the summed evidence of the added variants of each effect, per simulated recording."""
 
     @classmethod
     def empty(cls, family_indices: Ints, n_families: int, n_trials: int) -> FamilyEvidenceSums:
@@ -332,7 +332,7 @@ class FamilyEvidenceSums:
         return cls(family_indices, np.full((n_families, n_trials), -np.inf))
 
     def with_effects(self, effect_indices: Ints, log_evidences: Floats) -> FamilyEvidenceSums:
-        """Sums with b effects added that have the indices `effect_indices` and `log_evidences` (b, trials)."""
+        """Sums after the addition of b effects with indices `effect_indices` and `log_evidences` (b, trials)."""
         present, group = np.unique(self.family_indices[effect_indices], return_inverse=True)
         means = log_mean_exp_by_group(log_evidences, group, len(present))
         means += np.log(np.bincount(group))[:, None]
@@ -342,7 +342,7 @@ class FamilyEvidenceSums:
 
     @property
     def log_mean_evidence_over_variants(self) -> Floats:
-        """Log (families, trials) of the mean evidence of each effect over its places and shapes, per simulation."""
+        """Log (families, trials) of the mean evidence over all variants of each effect, per simulated recording."""
         return self.log_sums - np.log(np.bincount(self.family_indices, minlength=len(self.log_sums)))[:, None]
 
 

@@ -16,8 +16,8 @@ from ltsim.diagnosis.evidence import coefficient_posterior, log_evidence_of_coef
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 LAW_COMPONENT_RATIO_DECIMALS = 4
-"""Number of decimals to which the ratio (unit vector) of the components of an empirical law (error as a function of
-covariates) is rounded. The law is then equal to the law that is read from its text form."""
+"""Number of decimals of the rounded ratio (unit vector) of the components of an empirical law (error as a function of
+covariates). The law is then equal to the law that is read from its text form."""
 
 
 def best_component_ratio(
@@ -26,8 +26,7 @@ def best_component_ratio(
     """Most probable ratio (w,) (unit vector) of the w components of an empirical law, and two logarithms.
 
     The first logarithm is the log evidence at this ratio. The second is the log of the fraction of all ratios that the
-    readings permit. Their sum is the log evidence integrated over all ratios. An empirical law is an error as a
-    function of covariates. Projected means: without the part that the unknowns of the adjustment absorb.
+    readings permit. Their sum is the log evidence integrated over all ratios.
 
     Parameters
     ----------

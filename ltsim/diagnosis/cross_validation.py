@@ -105,7 +105,7 @@ def _normalised_errors_on_fold(residual: Floats, eigenvalues: Floats, eigenvecto
     """Normalised prediction errors (f,) of the f readings of a fold: (1 - H)^-1/2 r.
 
     Here r are the whitened residuals `residual` (f,), and H is the submatrix of the hat matrix for these readings, with
-    e nonzero `eigenvalues` (e,) and `eigenvectors` (f, e). Directions that the network determines only with the fold
+    e nonzero `eigenvalues` (e,) and `eigenvectors` (f, e). Combinations of readings that the other folds do not predict
     are left out.
     """
     along = eigenvectors.T @ residual

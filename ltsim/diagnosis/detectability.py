@@ -32,7 +32,7 @@ MAX_DETECTABLE_TO_PLAUSIBLE_SIZE_RATIO = 10.0
 """Limit of the ratio of the smallest detectable size of an effect to its plausible size. An effect with a smaller ratio
 is reported as detectable, any other as not detectable."""
 TARGET_DISTORTION_UM_DECIMALS = 6
-"""Number of decimals to which a distortion of the targets [um] is rounded."""
+"""Number of decimals of a rounded distortion of the targets [um]."""
 DetectabilityReport = tuple[tuple[MinimalDetectableSize, ...], tuple[UndetectableEntry, ...]]
 """Smallest detectable sizes of the detectable effects, and entries of the effects that are not detectable."""
 
@@ -42,8 +42,8 @@ def detectability_report(space: ResidualSpace, catalogue_designs: CatalogueDesig
 
     The smallest detectable size of an effect is the median over the stations and targets where it may act. An effect
     with several parameters is reported with the parameter that has the smallest ratio of the detectable to the
-    plausible size. `space` has the whitened equations of the adjustment, projected off its unknowns, and
-    `catalogue_designs` contain all effects of the catalogue at all stations and targets.
+    plausible size. `space` is the residual space of the adjustment (whitened observations without the part that the
+    unknowns absorb), and `catalogue_designs` contain all effects of the catalogue at all stations and targets.
     """
     detectable, undetectable = [], []
     for effects in catalogue_designs.effects_grouped_by_family():
@@ -61,8 +61,8 @@ def _detectability_of_effects(space: ResidualSpace, effects: Sequence[Effect]) -
     """Detectability of a catalogue effect at a sample of the stations and targets where it may act.
 
     It is computed in double precision. `effects` are the variants of the effect, one for each combination of stations,
-    targets and shape parameters. `space` has the whitened equations of the adjustment, projected off its unknowns
-    (residual space).
+    targets and shape parameters. `space` is the residual space of the adjustment (whitened observations without the
+    part that the unknowns absorb).
     """
     visible_effects: list[tuple[Effect, Floats, float, int, Floats]] = []
     for size, same in groupby(subsample_evenly(effects), key=lambda effect: len(effect.parameters)):

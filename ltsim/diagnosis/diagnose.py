@@ -70,8 +70,8 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import ResultSource
 
 MIN_UNEXPLAINED_INSTRUMENT_CONSTANT_DIFFERENCE_RATIO = 0.5
-"""Smallest ratio at which the difference of an instrument constant from its reference is reported: the difference with
-the selected effects in the model, divided by that without them. Below this ratio the effects explain the difference."""
+"""Limit of the difference of an instrument constant from its reference with the selected effects in the model, divided
+by the difference without them. Only a larger ratio is reported: below the limit the effects explain the difference."""
 
 
 @raise_for_singular_network

@@ -267,16 +267,16 @@ def _scaled_eigen_decomposition(gram: Floats, plausible_sizes: Floats) -> tuple[
 
 
 MAX_AVERAGED_HYPOTHESES = 12
-"""Number of the most probable hypotheses over which an estimate is averaged; it limits the computing time."""
+"""Number of hypotheses in the average of an estimate: the most probable ones. It limits the computing time."""
 N_EXACTLY_EVALUATED_HYPOTHESES = 7
 """Number of hypotheses of each kind (catalogue effects, hypotheses of other noise than declared, and empirical laws,
 which describe errors as functions of covariates) whose evidence is computed without approximation, to limit the
 computing time. They are those with the largest approximate log evidence. The approximate evaluation returns the same
 number of laws for each combination of stations and targets."""
 MAX_LOG_EVIDENCE_DEFICIT_FOR_EXACT_EVALUATION = 10.0
-"""Largest difference of the approximate log evidence of a hypothesis from the largest one, at which its evidence is
-computed without approximation. The hypothesis is a local optimum of a catalogue effect (over stations, targets and
-shape parameters), or a product of an empirical law (error as a function of covariates) and a second factor."""
+"""Largest deficit of a hypothesis in approximate log evidence, relative to the best one, for an exact evaluation. It
+applies to local optima of a catalogue effect (over stations, targets and shape parameters), and to products of an
+empirical law (error as a function of covariates) and a second factor."""
 WIDE_PRIOR_SIGMA_FACTOR = 30.0
 """Prior standard deviation of reported sizes, divided by their plausible sizes. Such a wide prior hardly shrinks the
 estimates, but keeps undetermined combinations finite."""
@@ -286,7 +286,7 @@ def wide_prior_posterior(gram: Floats, score: Floats, plausible_sizes: Floats) -
     """Posterior mean (k,), covariance (k, k) and log evidence of k coefficients with a wide prior.
 
     The prior standard deviation is `WIDE_PRIOR_SIGMA_FACTOR` times the plausible size. `gram` (k, k) is the Gram matrix
-    of the design columns, projected off the unknowns, and `score` (k,) their products with the residuals.
+    of the design columns, projected onto the residual space, and `score` (k,) their products with the residuals.
     """
     return coefficient_posterior(gram, score, plausible_sizes, np.array([WIDE_PRIOR_SIGMA_FACTOR]), np.zeros(1))
 
@@ -303,8 +303,8 @@ def log_positivity_factor(posterior_mean: float, sigma: float) -> float:
 def log_evidence_of_effect(effect: CandidateEffect, gram: Floats, score: Floats) -> float:
     """Log Bayes factor of an effect with k coefficients against no effect, averaged over the sizes of the effect.
 
-    `gram` (k, k) is the Gram matrix of its design columns, projected off the unknowns, and `score` (k,) their products
-    with the residuals.
+    `gram` (k, k) is the Gram matrix of its design columns, projected onto the residual space, and `score` (k,) their
+    products with the residuals.
     """
     plausible_sizes = effect.plausible_sizes
     if not any(p.is_nonnegative for p in effect.parameters):
@@ -369,8 +369,8 @@ def _squared_shift_fraction_by_observable(is_used_reading: Bools, shift: Floats)
 
 
 RELATIVE_DISCREPANCY_GRID = np.geomspace(0.05, 1.0, 9)
-"""Grid of relative differences between the change of readings by an unmodelled cause and the change by the hypothesis
-that it resembles. It is log-uniform from 0.05, hardly visible, to 1, a difference as large as the change."""
+"""Grid of relative differences between the changes of readings by an unmodelled cause and by the hypothesis that it
+resembles. The grid is log-uniform from 0.05, a hardly visible difference, to 1, a difference as large as the change."""
 
 
 def log_bayes_factor_of_discrepancy(space: ResidualSpace, shift: Floats, residual: Floats, redundancy: Floats) -> float:

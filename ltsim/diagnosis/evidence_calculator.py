@@ -38,7 +38,7 @@ class AffectedRows(NamedTuple):
 class EvidenceCalculator:
     """Calculator of Gram matrices, scores (products with residuals) and log evidence of effects in one adjustment.
 
-    The design columns and the residuals are projected off the unknowns of the adjustment.
+    The design columns and the residuals are projected onto the residual space.
     """
 
     def __init__(self, space: ResidualSpace) -> None:
@@ -53,9 +53,9 @@ class EvidenceCalculator:
     ) -> list[tuple[Floats, Floats]]:
         """Gram matrix (k, k) and score (k,) of each effect with k parameters, given the effects of a model.
 
-        They are the products of the projected design columns of the effect with each other, and with residuals. The
-        residuals are those of the adjustment that also estimates the effects of `conditioning_model`. Projected means:
-        without the part that the unknowns of the adjustment absorb.
+        The Gram matrix contains the inner products of the effect's design columns, projected onto the residual space,
+        and the score their products with the residuals. The residuals are those of the adjustment that also estimates
+        the effects of `conditioning_model`.
         """
         moments: dict[int, tuple[Floats, Floats]] = {}
         for rows, members in self._batches_with_same_rows(effects):
@@ -147,7 +147,7 @@ class EvidenceCalculator:
     def _affected_rows(self, effect: CandidateEffect) -> AffectedRows:
         """Observation equations on which an effect acts: for an empirical law those of its place, otherwise all.
 
-        The place of a law is its stations and targets. An empirical law is an error as a function of covariates.
+        An empirical law describes an error as a function of covariates. The place of a law is its stations and targets.
         """
         place = (effect.stations, effect.targets) if isinstance(effect, EmpiricalLaw) else (("",), ("",))
         if place not in self._rows:
@@ -187,8 +187,8 @@ class EvidenceCalculator:
     def _response_changes(self, name: str) -> Floats:
         """Whitened change (m, c) of m observation equations per unit of each component of a response.
 
-        The response `name` is the quantity that an empirical law changes, such as the vertical index; it has c
-        components. An empirical law is an error as a function of covariates.
+        An empirical law describes an error as a function of covariates. The response `name` is the quantity that an
+        empirical law changes, such as the vertical index; it has c components.
         """
         if name not in self._changes_by_response:
             self._changes_by_response[name] = self.residual_space.whiten(
@@ -199,10 +199,10 @@ class EvidenceCalculator:
     def _cache_projected_grams(
         self, effects: Sequence[CandidateEffect], designs: Floats, column_edges: Ints, affected_rows: AffectedRows
     ) -> None:
-        """Computation of the Gram matrices of the projected design columns of new effects, which are then cached.
+        """Computation of the Gram matrices of the design columns of new effects, which are then cached.
 
-        `designs` has the columns of all effects side by side, and `column_edges` the index of the first column of each.
-        Projected means: without the part that the unknowns of the adjustment absorb.
+        The columns are projected onto the residual space. `designs` has the columns of all effects side by side, and
+        `column_edges` the index of the first column of each effect.
         """
         new_indices = sorted({effect: i for i, effect in enumerate(effects) if effect not in self._grams}.values())
         if not new_indices:

@@ -168,14 +168,14 @@ class SelectedModelFit:
     def p_cause(self, effect_index: int) -> float:
         """Probability that some cause at the place of a selected effect produced the residuals that it explains.
 
-        `effect_index` is the index of the effect in the model. Several wrong readings are such a cause only if the
-        effect acts on single targets. Otherwise they are at other places than the effect.
+        `effect_index` is the index of the effect in the model. Wrong readings are such a cause only if the effect acts
+        on single targets; otherwise they are at other places.
         """
         p_elsewhere = 0.0 if self._is_at_single_targets(effect_index) else self.p_wrong_readings[effect_index]
         return (1.0 - self.rankings_of_alternatives[effect_index].p_no_cause) * (1.0 - p_elsewhere)
 
     def _is_at_single_targets(self, effect_index: int) -> bool:
-        """True if an effect acts on single targets, so that wrong readings in its place are at the same targets.
+        """True if an effect acts on single targets. Wrong readings at its place are then readings to these targets.
 
         `effect_index` is the index of the effect in the model.
         """
@@ -183,7 +183,7 @@ class SelectedModelFit:
         return not isinstance(effect, EmpiricalLaw) and bool(self._scope_of_effect(effect).targets)
 
     def _p_located(self, effect_index: int) -> float:
-        """Probability of a cause with the scope (place, observables, covariates) of an effect, or wrong readings there.
+        """Probability of a cause with the place, observables and covariates of an effect, or of wrong readings there.
 
         `effect_index` is the index of the effect in the model.
         """
@@ -306,7 +306,7 @@ class SelectedModelFit:
         return f" Most of the decrease of chi-square is in the {', the '.join(names)}."
 
     def _p_same_scope_of(self, effect_index: int) -> float:
-        """Sum of the probabilities of all hypotheses with the scope (observables, place, covariates) of an effect.
+        """Sum of the probabilities of all hypotheses with the same observables, place and covariates as an effect.
 
         `effect_index` is the index of the effect in the model. All effects that act on the same targets count as having
         the same scope. The reason is that a target that moved, is badly seated or was read wrongly changes the same

@@ -134,8 +134,8 @@ EFFECT_NAME_BY_CAUSE = {
     ("unit", "position"): "wrong-unit",
     ("height", "position"): "outlier",
 }
-"""Name of the catalogue effect as which the cause of a test is reported, by the kind of the cause and the quantity on
-which it acts. An outlier with another key is reported as `outlier`, and any other cause as `unknown`."""
+"""Name of the catalogue effect in the report of a cause that a test identified, by the kind of the cause and the
+quantity on which it acts. An outlier with another key is reported as `outlier`, and any other cause as `unknown`."""
 
 
 def cause_test_finding(test: CauseTest) -> Finding:

@@ -41,16 +41,16 @@ RIGID_MOTION_REGRESSOR = Regressor("field", COORDINATE_COVARIATES, constant=1.0)
 """Regressor (function of covariates) (function of the coordinates) for a group of targets that moves and tilts as a
 rigid body."""
 MAX_LOG_EVIDENCE_DIFFERENCE_TO_SINGLE_SET_UP_LAW = 0.5
-"""Difference of log evidence up to which an empirical law (error as a function of covariates) at all set-ups counts as
-equivalent to the law at one set-up. The poses of the other set-ups then absorb the law, and only the law at the one
-set-up is retained."""
+"""Largest difference of log evidence between an empirical law (error as a function of covariates) at all set-ups and
+the same law at one set-up that count as equivalent. Equivalent laws differ only by poses of the other set-ups; only the
+law at one set-up is retained."""
 
 
 def min_log_evidence_for_forms(best_evidence: float) -> float:
     """Approximate log evidence above which an empirical law is evaluated in all functional forms.
 
-    It is about half of `best_evidence`, the largest log evidence of a law, because another form may double the log
-    evidence. An empirical law is an error as a function of covariates.
+    An empirical law describes an error as a function of covariates. The limit is about half of `best_evidence`, the
+    largest log evidence of a law, because another form may double the log evidence.
     """
     return 0.5 * best_evidence - 5.0
 
@@ -65,10 +65,10 @@ def evaluate_law_forms(
 ) -> list[Hypothesis]:
     """Hypotheses for the functional forms of an empirical law: the best form for each effect name.
 
-    A form that equals a catalogue effect has its name; all other forms are `unknown`. The evidence of a result is the
-    sum over all forms with its name. `log_prior` is the log prior probability of the law. The effects of
-    `conditioning_model` are estimated in addition. Steps, ramps and switches (on or off in intervals of a covariate)
-    are tried if `with_steps_and_switches`. An empirical law is an error as a function of covariates.
+    An empirical law describes an error as a function of covariates. A form that equals a catalogue effect has its name;
+    all other forms are `unknown`. The evidence of a result is the sum over all forms with its name. `log_prior` is the
+    log prior probability of the law. The effects of `conditioning_model` are estimated in addition. Steps, ramps and
+    switches (on or off in intervals of a covariate) are tried if `with_steps_and_switches`.
     """
     sightings = calculator.residual_space.sightings
     law = law.equivalent_vertical_index_law(sightings)
@@ -124,7 +124,7 @@ def evaluate_law_forms(
 def _index_of_best(forms: Sequence[Hypothesis]) -> int:
     """Index of the hypothesis with the largest log evidence among `forms` (functions of an empirical law).
 
-    An empirical law is an error as a function of covariates.
+    An empirical law describes an error as a function of covariates.
     """
     return index_of_most_evidence(np.array([form.log_evidence for form in forms]))
 
@@ -134,8 +134,8 @@ def _functional_forms(
 ) -> list[Hypothesis]:
     """Forms of an empirical law as a curve, a formula, a piecewise function or a product, each with its log evidence.
 
-    `log_prior` is the log prior probability of the law. The effects of `conditioning_model` are estimated in addition.
-    An empirical law is an error as a function of covariates.
+    An empirical law describes an error as a function of covariates. `log_prior` is the log prior probability of the
+    law. The effects of `conditioning_model` are estimated in addition.
     """
     forms = law.candidate_forms_by_kind(calculator.residual_space.sightings)
     weight_sum = sum(PRIOR_WEIGHT_BY_LAW_FORM[kind] for kind in forms)
@@ -162,8 +162,8 @@ def _forms_with_ratio(
 ) -> list[Hypothesis]:
     """List of `form`, an empirical law, and possibly of this law with a fixed ratio of its components.
 
-    The fixed ratio is tried if each component has several coefficients. The effects of `conditioning_model` are
-    estimated in addition. An empirical law is an error as a function of covariates.
+    An empirical law describes an error as a function of covariates. The fixed ratio is tried if each component has
+    several coefficients. The effects of `conditioning_model` are estimated in addition.
     """
     law = form.effect
     assert isinstance(law, EmpiricalLaw)
@@ -293,9 +293,9 @@ def response_curve(
 ) -> ResponseCurve | None:
     """Curve of an empirical law over its covariate, at the set-up and in the direction with the largest effect.
 
-    The result is None for a law with several covariates, or with a separate size at each set-up. The k coefficients of
-    the law have the mean `coefficient_mean` (k,) and the covariance `coefficient_covariance` (k, k) [SI]. An empirical
-    law is an error as a function of covariates.
+    An empirical law describes an error as a function of covariates. The result is None for a law with several
+    covariates, or with a separate size at each set-up. The k coefficients of the law have the mean `coefficient_mean`
+    (k,) and the covariance `coefficient_covariance` (k, k) [SI].
     """
     regressor = law.regressor
     if len(regressor.covariates) != 1 or regressor.kind in ("amounts", "passage"):

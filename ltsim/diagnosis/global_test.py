@@ -50,9 +50,9 @@ class GlobalTestResult:
 
 
 def run_global_test(searcher: Searcher, noise_hypotheses: NoiseHypothesisSet) -> GlobalTestResult:
-    """Result of the simultaneous test of an adjustment for all effects, empirical laws and noise hypotheses.
+    """Result of the simultaneous test of an adjustment for all effects, empirical laws and hypotheses of changed noise.
 
-    An empirical law is an error as a function of covariates. A noise hypothesis is a changed noise.
+    An empirical law describes an error as a function of covariates.
     """
     space = searcher.residual_space
     noise_evidence = noise_hypotheses.log_evidence_by_family(space.whitened_residuals[:, None], space.redundancy)[:, 0]

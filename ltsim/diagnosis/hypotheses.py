@@ -51,7 +51,7 @@ class Hypothesis:
     def is_catalogued(self) -> bool:
         """True if the hypothesis is a catalogue effect, False for an empirical law outside the catalogue.
 
-        An empirical law is an error as a function of covariates.
+        An empirical law describes an error as a function of covariates.
         """
         return self.name != "unknown"
 
@@ -68,11 +68,10 @@ class EffectModel:
     hypotheses: tuple[Hypothesis, ...]
     """Hypotheses of the model, one per effect."""
     projected_designs: tuple[Floats, ...]
-    """Projected design matrix (m, k) of each effect: change of m whitened residuals per unit of its k coefficients.
-    Projected means: without the part that the unknowns of the adjustment absorb."""
+    """Design matrix (m, k) of each effect, projected onto the residual space: change of m whitened residuals per unit
+    of its k coefficients."""
     design_column_norms: tuple[Floats, ...]
-    """Norms (k,) of the k design columns of each effect before the projection onto the residual space (whitened
-    equations projected off the unknowns)."""
+    """Norms (k,) of the k design columns of each effect before the projection onto the residual space."""
     baseline_residual: Floats = field(repr=False)
     """Whitened residuals (m,) of m observation equations in the adjustment without the effects of the model."""
 
@@ -80,7 +79,7 @@ class EffectModel:
     def from_residual_space(cls, hypotheses: Sequence[Hypothesis], space: ResidualSpace) -> EffectModel:
         """Model with the given hypotheses in the residual space `space` of an adjustment.
 
-        The residual space contains the whitened equations, projected off the unknowns.
+        The residual space is the space of whitened observations without the part that the unknowns absorb.
         """
         designs = [space.whitened_design(h.effect) for h in hypotheses]
         norms = map(space.norms_without_centring, designs)
@@ -108,10 +107,9 @@ class EffectModel:
 
     @cached_property
     def gram_and_score(self) -> tuple[Floats, Floats]:
-        """Gram matrix (k, k) of the k projected design columns of all effects, and their products (k,) with residuals.
+        """Gram matrix (k, k) of the k design columns of all effects, and their products (k,) with the residuals.
 
-        The residuals are those of the adjustment without effects. Projected means: without the part that the unknowns
-        of the adjustment absorb.
+        The columns are projected onto the residual space. The residuals are those of the adjustment without effects.
         """
         projected_design = np.hstack(self.projected_designs)
         return projected_design.T @ projected_design, projected_design.T @ self.baseline_residual
@@ -120,7 +118,8 @@ class EffectModel:
     def discrepancy_penalty(self) -> float:
         """Additional log evidence required of a further effect, because the function of an empirical law is imperfect.
 
-        A model with catalogue effects only has the penalty 0. An empirical law is an error as a function of covariates.
+        An empirical law describes an error as a function of covariates. A model with catalogue effects only has the
+        penalty 0.
         """
         if all(h.is_catalogued for h in self.hypotheses):
             return 0.0
@@ -163,7 +162,8 @@ class HypothesisRanking:
     hypotheses: tuple[Hypothesis, ...]
     """Hypotheses in the order of decreasing log evidence."""
     total_log_evidence: float
-    """Log of the sum of the evidence of all hypotheses; only the first ones are evaluated without approximation."""
+    """Log of the sum of the evidence of all hypotheses, of which only the most probable are evaluated without
+    approximation."""
     log_evidence_of_unmodelled_cause: float = -np.inf
     """Log evidence of a cause that is no hypothesis of the ranking; minus infinity if it is not considered."""
     log_evidence_of_no_cause: float = 0.0
@@ -172,8 +172,8 @@ class HypothesisRanking:
     def most_probable_of_each_kind(self) -> list[Hypothesis]:
         """Hypotheses with the largest evidence: one of each catalogue effect, and one law of each response.
 
-        The response is the quantity that an empirical law changes. The order is that of the ranking. An empirical law
-        is an error as a function of covariates.
+        An empirical law describes an error as a function of covariates. The response is the quantity that an empirical
+        law changes. The order is that of the ranking.
         """
         first: dict[tuple[str, str], Hypothesis] = {}
         for hypothesis in self.hypotheses:
@@ -286,7 +286,7 @@ def probability_and_equivalents(
 
 
 def _size_averaged_log_evidence(model: EffectModel) -> float:
-    """Log evidence of a model, averaged over the size factors t of its effects.
+    """Log evidence of a model, averaged over factors t on the plausible sizes of its effects.
 
     The coefficients of an effect in the model have the prior N(0, (t size)^2) with their plausible sizes. The sum
     covers only the factors near the combination of factors with the largest evidence.

@@ -42,12 +42,12 @@ INSTRUMENT_CONSTANT_REFERENCE_PHRASES = {True: "its declared correction", False:
 
 
 def instrument_entries(adjustment: Adjustment) -> tuple[InstrumentEntry, ...]:
-    """Entries of all instruments of a recording, with instrument constants and their measurable combinations."""
+    """Result entries of all instruments of a recording, with constants and measurable combinations of them."""
     return tuple(_instrument_entry(adjustment, i) for i in range(len(adjustment.recording.instruments)))
 
 
 def _instrument_entry(adjustment: Adjustment, instrument_index: int) -> InstrumentEntry:
-    """Entry of one instrument of a recording, with its constants and their measurable combinations."""
+    """Result entry of one instrument of a recording, with its constants and the measurable combinations of them."""
     parameters = adjustment.construction.parameters
     constants = adjustment.state.instrument_parameters[instrument_index]
     covariance = adjustment.instrument_covariance_of(instrument_index)
@@ -85,7 +85,8 @@ class InstrumentConstantContradiction:
     reference_text: str
     """Name of the reference for users, such as `the other instruments`."""
     evidence_share_by_constant: Mapping[Parameter, float]
-    """Fractions of the evidence for this constant and others of the same instruments that may have changed instead."""
+    """Fractions of the evidence, by instrument constant: for this constant, and for each constant of the same
+    instruments that may have changed in its place."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +113,7 @@ class InstrumentConstantChange:
     reference_text: str
     """Name, shown to users, of the reference with which the instrument constant is compared."""
     added_variance_grid: Floats | float = 0.0
-    """Possible additions (s,), or a single one, to the expected variance, divided by the squared specification."""
+    """Possible additional variances (s,), or a single one, of the constant, divided by the squared specification."""
     log_variance_weights: Floats | float = 0.0
     """Natural logarithms of the prior weights of each value of `added_variance_grid`."""
 

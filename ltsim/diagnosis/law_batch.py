@@ -31,9 +31,9 @@ from ltsim.physics.laws.responses import Response
 from ltsim.scene.sightings import Sightings
 
 MAX_CACHED_COLUMN_ENTRIES = 16_000_000
-"""Largest number of elements (64 MB) of design columns of regressors (functions of covariates) that stay in memory. The
-limit applies to the columns in use during the approximate evaluation of all laws, and to all columns between two
-evaluations. To compute released columns again takes a sixth of the time of an evaluation."""
+"""Largest number of elements (64 MB) of cached design columns of regressors (functions of covariates), both during an
+approximate evaluation of all laws and between two evaluations. To compute released columns again takes a sixth of the
+time of an evaluation."""
 
 
 class ScreenedLaw(NamedTuple):
@@ -53,25 +53,25 @@ class ScreenedLaw(NamedTuple):
 
 @dataclass(frozen=True)
 class PointingPartition:
-    """Partition of the pointings into cells: pointings of the same places (stations, targets or instruments).
+    """Partition of the pointings into cells. All pointings of a cell belong to the same places (stations, targets...).
 
     A sum over the pointings of a place, where empirical laws (functions of covariates) act, is a sum over its cells.
     """
 
     pointing_order: Ints
-    """Indices (n,) of the n pointings, sorted by cell (pointings of the same places)."""
+    """Indices (n,) of the n pointings, sorted by cell (set of pointings that belong to the same places)."""
     cell_edges: Ints
-    """Limits (cells + 1,) in `pointing_order` of the cells (pointings of the same places): starts, and end of the
-    last."""
+    """Limits (cells + 1,) of the cells (pointings of the same places) in `pointing_order`: start of each cell, then end
+    of the last."""
     is_cell_in_place: sp.csr_array
-    """Indicators (P, cells) of the cells (groups of pointings) that belong to each of P places (stations, targets or
+    """Indicators (P, cells), 1 for the cells (sets of pointings) that belong to each of P places (stations, targets or
     instruments)."""
 
     @classmethod
     def from_places(cls, places: Sequence[LawPlace], n_pointings: int) -> PointingPartition:
         """Partition of `n_pointings` pointings by the places (stations, targets or instruments) of empirical laws.
 
-        An empirical law is an error as a function of covariates.
+        An empirical law describes an error as a function of covariates.
         """
         is_inside = np.zeros((len(places), n_pointings), dtype=bool)
         for here, place in zip(is_inside, places, strict=True):
@@ -94,9 +94,10 @@ class PointingPartition:
             yield part, self.pointing_order[part], here
 
     def sums_over_places(self, cell_sums: Any) -> Any:
-        """Sums (P, ...) over the pointings of each of P places (stations, targets or instruments).
+        """Sums (P, ...) over the pointings of each of P places, from sums over cells.
 
-        `cell_sums` (cells, ...) are the sums over the cells (pointings of the same places).
+        A place is the stations, targets or instruments where a law acts. `cell_sums` (cells, ...) are the sums over the
+        cells (pointings of the same places).
         """
         return (self.is_cell_in_place @ cell_sums.reshape(len(cell_sums), -1)).reshape(-1, *cell_sums.shape[1:])
 
@@ -121,10 +122,10 @@ class RegressorColumns:
         self.n_entries_per_regressor = regressors[0].n_columns * len(sightings)
 
     def model_columns(self, regressor_range: slice) -> Floats32:
-        """Columns (n, d k) of the d regressors in `regressor_range`, k columns each, for n pointings.
+        """Columns (n, d k) of the design matrix for d regressors of the batch, k columns each, at n pointings.
 
-        A regressor is a function of covariates to which the error is proportional. The pointings are sorted by place
-        (stations, targets or instruments).
+        A regressor is a function of covariates to which the error is proportional. `regressor_range` selects the
+        regressors. The pointings are sorted by place (stations, targets or instruments).
         """
         if self.n_entries_per_regressor * len(self._regressors) > MAX_CACHED_COLUMN_ENTRIES:
             return self._compute_columns(self._regressors[regressor_range])
@@ -161,32 +162,31 @@ class LawBatch:
     """
 
     responses: tuple[Response, ...]
-    """Quantities (C responses with c components each) that the empirical laws (functions of covariates) change."""
+    """Quantities that the empirical laws (functions of covariates) change: C responses with c components each."""
     regressors: tuple[Regressor, ...]
-    """Functions of covariates, D regressors of k basis functions (such as sine and cosine) each; a law is a linear
+    """Functions of covariates: D regressors with k basis functions each (such as sine and cosine). A law is a linear
     combination of the basis functions of its regressor."""
     places: tuple[LawPlace, ...]
     """Stations, targets or instruments (P places) where the empirical laws (functions of covariates) act."""
     pointing_partition: PointingPartition
     """Partition of the pointings by the stations, targets or instruments (places) where the empirical laws act."""
     whitened_response_designs: Floats32
-    """Whitened change (n, 3, C, c) of the readings of n pointings by the plausible size of each of the c components of
-    C responses (changed quantities)."""
+    """Whitened changes of the readings by a response (changed quantity) of plausible size, (n, 3, C, c): n pointings,
+    three readings, C responses, c components of a response."""
     regressor_columns: RegressorColumns
     """Design columns of the regressors (functions of covariates), which batches of laws with the same regressors and
     places share."""
     log_prior_by_place: Floats
-    """Log prior probability (P,) of one empirical law (function of covariates) at each of P places (stations,
-    targets)."""
+    """Log prior probability (P,) of each law (function of covariates) at each of P places (stations, targets)."""
     _cached_eigen_decompositions: dict[int, list[tuple[Floats, Floats32]]] = field(default_factory=dict, repr=False)
     """Eigen decompositions of Gram matrices scaled by prior standard deviations, by the first index of their range of
     regressors (functions of covariates)."""
 
     @cached_property
     def _prior_sigmas(self) -> list[Floats]:
-        """Prior standard deviations (D, c k) of the coefficients of D regressors, one array per length scale.
+        """Prior standard deviations of the coefficients of each regressor, (D, c k); one array per length scale.
 
-        A regressor is a function of covariates with k columns; each response (changed quantity) has c components.
+        The D regressors are functions of covariates with k columns; each response (changed quantity) has c components.
         """
         n_components = self.whitened_response_designs.shape[3]
         return [
@@ -195,11 +195,11 @@ class LawBatch:
         ]
 
     def best_laws_and_log_total_evidence(self, null_ensemble: NullEnsemble) -> tuple[list[ScreenedLaw], float, Floats]:
-        """Empirical laws with the largest evidence at each place, log of the summed evidence of all, and null values.
+        """Laws with the largest evidence at each place, log of the summed evidence of all laws, and null values.
 
-        A place is the stations, targets or instruments where a law acts. The null values (trials,) are the log of the
-        summed evidence for each simulated recording (trial) of the null ensemble. An empirical law is an error as a
-        function of covariates.
+        An empirical law describes an error as a function of covariates. A place is the stations, targets or instruments
+        where a law acts. The null values (trials,) are the log of the summed evidence in each simulated recording of
+        the null ensemble.
         """
         count, size = len(self.regressors), self.regressors[0].n_columns
         products = size * self.whitened_response_designs[0, 0].size * len(self.places)
@@ -222,13 +222,12 @@ class LawBatch:
         return hits, float(log_sum_exp(log_evidences.ravel())), null
 
     def _log_evidence_at_places(self, null_ensemble: NullEnsemble, regressor_range: slice) -> tuple[Floats, Floats]:
-        """Log evidence (P, C, d), with priors, of empirical laws, and their log summed evidence in simulations.
+        """Log evidence of each law (with its prior), and log of the summed evidence in each simulated recording.
 
-        There are C responses (changed quantities) and d regressors (functions of covariates that they follow, those in
-        `regressor_range`), at P places (stations or targets). The second result (trials,) belongs to the simulated
-        recordings (trials). The Gram matrix of a law is not reduced by the effects in the model. It is therefore too
-        large for a law that is correlated with them. The laws with the largest evidence are evaluated again without
-        this approximation.
+        The first result has the shape (P, C, d), for P places (stations or targets), C responses (changed quantities)
+        and the d regressors (functions of covariates) in `regressor_range`; the second has the shape (trials,). The
+        Gram matrix of a law is not reduced by the effects in the model, and is therefore too large for a law that is
+        correlated with them. The laws with the largest evidence are evaluated again without this approximation.
         """
         columns = self.regressor_columns.model_columns(regressor_range)
         scores = self._products_with_ensemble_vectors(null_ensemble, columns)
@@ -254,14 +253,13 @@ class LawBatch:
         return log_sum_exp(np.stack(log_evidences)) + self.log_prior_by_place[:, None, None], log_sum_exp(null)
 
     def _scaled_eigen_decompositions(self, gram: Floats, regressor_range: slice) -> list[tuple[Floats, Floats32]]:
-        """Eigen decompositions of Gram matrices of empirical laws, scaled by prior sigmas of their coefficients.
+        """Eigen decompositions of the laws' Gram matrices, scaled by the prior sigmas of the coefficients.
 
-        The list runs over the length scales of the smooth functions of a regressor, each with its own prior sigmas. An
-        entry has the eigenvalues (P, C, d, c k) and matrices (P, C, d, c k, c k); the product of such a matrix with the
-        scores of a law gives its scores along the eigenvectors. There are P places (stations and targets where a law
-        acts), C responses (quantities that it changes) with c components, and d regressors with k columns in
-        `regressor_range`. `gram` has the shape (P, C, d, c k, c k). An empirical law is an error as a function of
-        covariates.
+        The list has one entry per length scale of smooth functions, each with its own prior sigmas. An entry has the
+        eigenvalues (P, C, d, c k) and matrices (P, C, d, c k, c k), whose product with the scores of a law gives its
+        scores along the eigenvectors. There are P places (stations and targets where a law acts), C responses
+        (quantities that it changes) with c components, and d regressors with k columns in `regressor_range`. `gram` has
+        the shape (P, C, d, c k, c k).
         """
         transforms = []
         for spread in (spread[regressor_range] for spread in self._prior_sigmas):
@@ -271,11 +269,11 @@ class LawBatch:
         return transforms
 
     def _products_with_ensemble_vectors(self, null_ensemble: NullEnsemble, columns: Floats32) -> Floats32:
-        """Products (P, C, d, c k, v) of the design matrices of empirical laws with v vectors of the null ensemble.
+        """Products of the laws' design matrices with all v vectors of the null ensemble, (P, C, d, c k, v).
 
         The laws act at P places (stations and targets) on C responses (changed quantities) with c components. `columns`
-        (n, d k) are the k columns of each of d regressors (functions of covariates) at n pointings. The null ensemble
-        consists of simulated recordings without effects.
+        (n, d k) are the k columns of each of d regressors (functions of covariates) at n pointings. The vectors are the
+        residuals of the recording and of simulated recordings, and a basis.
         """
         _, _, count, n_components = self.whitened_response_designs.shape
         vectors, d = null_ensemble.probe_vectors.shape[1], columns.shape[1] // self.regressors[0].n_columns
@@ -297,11 +295,10 @@ class LawBatch:
         return np.ascontiguousarray(products.transpose(0, 3, 1, 4, 2, 5)).reshape(len(products), count, d, -1, vectors)
 
     def _unprojected_gram_matrices(self, columns: Floats32) -> Floats:
-        """Gram matrices (P, C, d, c k, c k) of the designs of empirical laws, before their projection.
+        """Gram matrices of the laws' design matrices, before projection, (P, C, d, c k, c k).
 
         The laws act at P places (stations and targets) on C responses (changed quantities) with c components. `columns`
-        (n, d k) are the k columns of each of d regressors (functions of covariates) at n pointings. Projected means:
-        without the part that the unknowns of the adjustment absorb.
+        (n, d k) are the k columns of each of d regressors (functions of covariates) at n pointings.
         """
         _, _, count, n_components = self.whitened_response_designs.shape
         k = self.regressors[0].n_columns
@@ -345,10 +342,10 @@ def indices_of_largest(values: Floats, count: int) -> Ints:
 def evaluate_law_batches(
     law_batches: Sequence[LawBatch], null_ensemble: NullEnsemble
 ) -> list[tuple[list[ScreenedLaw], float, Floats]]:
-    """Best laws, log of the summed evidence, and null values (trials,) of each batch of laws, in the order of batches.
+    """Best laws of each batch, log of the summed evidence of all its laws, and null values (trials,).
 
-    An empirical law is an error as a function of covariates. The null values are the log of the summed evidence in
-    simulated recordings without effects (trials).
+    An empirical law describes an error as a function of covariates. The null values are the log of the summed evidence
+    in simulated recordings without effects (trials).
     """
     by_columns: dict[int, list[int]] = {}
     for i, batch in enumerate(law_batches):

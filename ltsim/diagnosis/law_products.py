@@ -41,7 +41,7 @@ tried; a wave has two."""
 def may_have_a_second_factor(law: EmpiricalLaw) -> bool:
     """True for an empirical law of one observable in the whole network with one covariate and few coefficients.
 
-    An empirical law is an error as a function of covariates.
+    An empirical law describes an error as a function of covariates.
     """
     if law.response.changed_part != "reading" or law.response.component_units or law.stations or law.targets:
         return False
@@ -60,9 +60,9 @@ def product_forms(
 ) -> list[Hypothesis]:
     """List with the best product of an empirical law of readings and a second factor, after a local search.
 
-    `form` is the law. The list is empty if no product has nearly the evidence of the law. For a law that is switched on
-    and off, the list also contains other functions as factors. The effects of `conditioning_model` are estimated in
-    addition. An empirical law is an error as a function of covariates.
+    An empirical law describes an error as a function of covariates. `form` is the law. The list is empty if no product
+    has nearly the evidence of the law. For a law that is switched on and off, the list also contains other functions as
+    factors. The effects of `conditioning_model` are estimated in addition.
     """
     law, sightings = form.effect, calculator.residual_space.sightings
     assert isinstance(law, EmpiricalLaw)
@@ -100,7 +100,7 @@ def product_forms(
 def _law_product(law: EmpiricalLaw, second_factor: Regressor) -> EmpiricalLaw:
     """Product of an empirical law with the function `second_factor`; a region of the hall becomes the first factor.
 
-    An empirical law is an error as a function of covariates.
+    An empirical law describes an error as a function of covariates.
     """
     factors = (second_factor, law.regressor) if second_factor.region is not None else (law.regressor, second_factor)
     return replace(law, regressor=Regressor("product", factors=factors), length_scale_index=0)

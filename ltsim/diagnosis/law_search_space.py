@@ -48,17 +48,17 @@ from ltsim.physics.laws.regressors import CLOCK_COVARIATES, Regressor
 from ltsim.physics.laws.responses import Response, response_designs
 
 MAX_SEPARATE_SETUPS_OR_TARGETS = 400
-"""Largest number of set-ups (or targets) with which empirical laws (errors as functions of covariates) at single
-set-ups (or targets) are tried. The limit keeps the computing time short."""
+"""Largest number of set-ups (or targets) in a recording for which empirical laws (errors as functions of covariates) at
+each single set-up (or target) are tried. The limit keeps the computing time short."""
 TARGET_COUNTS_FOR_GROUP_LAWS = range(12, 101)
-"""Numbers of targets in a network with which empirical laws (errors as functions of covariates) at a group of targets
-are tried. Fewer targets hardly form a group, and more targets take too much computing time."""
+"""Numbers of targets (smallest and largest) in networks for which empirical laws (errors as functions of covariates) at
+groups of targets are tried. Fewer targets hardly form a group, and more targets take too much computing time."""
 MIN_POINTINGS_PER_COEFFICIENT_OF_FINE_CURVE = 4
-"""Number of pointings of a set-up per coefficient, above which a curve of one set-up has `N_CURVE_MODES` basis
-functions (eigenfunctions of the Laplacian). With fewer pointings it has `N_PRODUCT_CURVE_MODES`."""
+"""Limit of the number of pointings per coefficient in a curve of one set-up. Above it the curve has `N_CURVE_MODES`
+basis functions (eigenfunctions of the Laplacian), below it `N_PRODUCT_CURVE_MODES`."""
 MIN_POINTINGS_PER_COEFFICIENT = 2
-"""Smallest number of pointings per coefficient, at the stations and targets of an empirical law (error as a function of
-covariates), for which the law is tried. The adjustment absorbs about half of the information of the pointings."""
+"""Smallest number of pointings per coefficient of an empirical law (error as a function of covariates), counted at its
+stations and targets. The adjustment absorbs about half of the information of the pointings."""
 PER_SETUP_REGRESSOR_KINDS = ("constant", "sign", "curve", "decay", "memory", "lag", "state", "latch")
 """Kinds of regressors (functions of covariates) that are tried for an empirical law of one instrument or one set-up."""
 REGION_REGRESSOR_KINDS = ("passage", "lever", "passage for a time", "lever for a time", "near")
@@ -67,8 +67,8 @@ CHANGED_PARTS_BY_REGRESSOR_KIND = dict.fromkeys(("product", *REGION_REGRESSOR_KI
     "room": ("target",)
 }
 """Kinds of changed quantities (`Response.changed_part`) that are combined with a kind of regressor (function of
-covariates); any other kind of regressor is combined with all. The omitted combinations would be many, and hardly
-physical."""
+covariates). Regressors of a kind that is no key are combined with all. The omitted combinations would be many, and
+hardly physical."""
 WAVE_COVARIATES_FOR_NON_READING_RESPONSES = (*CLOCK_COVARIATES, *ACCUMULATED_ROTATIONS)
 """Covariates of the waves that are tried for changed quantities that are no readings: times, and accumulated rotations
 of the axes."""
@@ -166,7 +166,7 @@ def _places_and_regressors_by_kind(space: ResidualSpace) -> list[tuple[str, tupl
 def _names_of_separate_places(names: tuple[str, ...]) -> tuple[str, ...]:
     """Names of stations or targets at which separate empirical laws are tried; empty for one name or too many names.
 
-    An empirical law is an error as a function of covariates.
+    An empirical law describes an error as a function of covariates.
     """
     return names if 1 < len(names) <= MAX_SEPARATE_SETUPS_OR_TARGETS else ()
 
@@ -174,7 +174,7 @@ def _names_of_separate_places(names: tuple[str, ...]) -> tuple[str, ...]:
 class _LawBatchBuilder:
     """Builder of batches of empirical laws; laws that differ only in the place where they act are in the same batch.
 
-    An empirical law is an error as a function of covariates.
+    An empirical law describes an error as a function of covariates.
     """
 
     def __init__(self, space: ResidualSpace) -> None:
@@ -323,9 +323,9 @@ class _LawBatchBuilder:
 def _may_change_in_region(regressor_kind: str, response: Response) -> bool:
     """True if an empirical law with a function of the kind `regressor_kind` may change the quantity `response`.
 
-    It is always true for functions without a region of the hall. A range changes in proportion to the length of the
-    path in the region (`passage`), and an angle in proportion to this length weighted by its lever (`lever`). An
-    empirical law is an error as a function of covariates.
+    An empirical law describes an error as a function of covariates. The result is always true for functions without a
+    region of the hall. A range changes in proportion to the length of the path in the region (`passage`), and an angle
+    in proportion to this length weighted by its lever (`lever`).
     """
     base_kind = regressor_kind.removesuffix(" for a time")
     return base_kind not in ("passage", "lever") or ("distance" in response.observables) == (base_kind == "passage")
@@ -343,9 +343,9 @@ def _is_wave_tried_for(changed_part: str, wave: Regressor) -> bool:
 def response_with_size_raised_to_noise(response: Response, whitened_changes: Floats) -> Response:
     """Copy of a response whose plausible size is at least as large as the noise of the readings.
 
-    The response is the quantity that an empirical law changes. `whitened_changes` (n, 3, c) are the whitened changes of
-    the three readings of n pointings per unit of each of its c components. An empirical law is an error as a function
-    of covariates.
+    An empirical law describes an error as a function of covariates. The response is the quantity that an empirical law
+    changes. `whitened_changes` (n, 3, c) are the whitened changes of the three readings of n pointings per unit of each
+    of its c components.
     """
     change_in_sigmas = response.plausible_size * np.sqrt(np.mean(np.sum(whitened_changes**2, axis=1), axis=1))
     return replace(response, plausible_size=response.plausible_size * size_factor_to_noise_level(change_in_sigmas))

@@ -15,8 +15,8 @@ from ltsim.diagnosis.prior import MAX_MODEL_EFFECTS, MIN_EFFECT_LOG_EVIDENCE
 from ltsim.diagnosis.selection_state import SelectionState
 
 MAX_NOISE_HYPOTHESES = 3
-"""Largest number of noise hypotheses (noise other than declared) that are added to a model; after each of them the
-effects are selected again."""
+"""Largest number of hypotheses of changed noise that are added to a model; after each of them the effects are selected
+again."""
 InstrumentConstantComparisonFunction = Callable[[Adjustment], ContradictingInstrumentConstants]
 """Function of an adjustment whose result are the instrument constants that contradict their reference."""
 
@@ -24,7 +24,7 @@ InstrumentConstantComparisonFunction = Callable[[Adjustment], ContradictingInstr
 def select_noise_and_effects(
     state: SelectionState, compare_with_reference: InstrumentConstantComparisonFunction
 ) -> tuple[SelectionState, EffectModel]:
-    """State of the model selection with the selected noise hypotheses (changed noise levels), and model of effects.
+    """State of the model selection with the selected hypotheses of changed noise, and model of effects.
 
     The state also contains the changed instrument constants. The kind of hypothesis with the largest evidence is
     selected first. The selection ends when the evidence increases by less than `MIN_EFFECT_LOG_EVIDENCE`. The order
@@ -64,7 +64,7 @@ def _select_noise_hypotheses(
     log_evidence_of_effects: float,
     start_hypotheses: Sequence[Hypothesis],
 ) -> SelectionState:
-    """State of the model selection after a forward selection of noise hypotheses (noise other than declared).
+    """State of the model selection after a forward selection of hypotheses of changed noise.
 
     The noise is estimated with the effects of `start_hypotheses` in the model. The first noise hypothesis is always
     selected, because the global test has failed. Its alternatives include the effects, with the log evidence
@@ -106,10 +106,10 @@ def _select_effects_given_noise(
 
 
 def _alternate_noise_and_effects(state: SelectionState, model: EffectModel) -> tuple[SelectionState, EffectModel]:
-    """State of the model selection, and model, after alternating selections of noise hypotheses and of effects.
+    """State of the model selection, and model, after alternating selections of changed noise and of effects.
 
     Both selections alternate while the evidence increases. Each noise hypothesis is tried in addition to `model`, in
-    place of one of the effects in the model, and in place of all effects. A noise hypothesis is a changed noise.
+    place of one of the effects in the model, and in place of all effects.
     """
     for _ in range(MAX_NOISE_HYPOTHESES):
         searcher, hypotheses = state.searcher, model.hypotheses
@@ -139,7 +139,7 @@ def _alternate_noise_and_effects(state: SelectionState, model: EffectModel) -> t
 def _most_probable_noise_hypothesis(
     ranked_noise_hypotheses: Sequence[tuple[float, NoiseHypothesis]], log_evidence_of_effects: float
 ) -> NoiseHypothesis:
-    """Most probable noise hypothesis (noise other than declared), with its probability among all hypotheses.
+    """Most probable hypothesis of changed noise, with its probability among all hypotheses.
 
     `ranked_noise_hypotheses` are pairs of a log evidence and a noise hypothesis. `log_evidence_of_effects` is the log
     of the summed evidence of all other hypotheses.

@@ -53,10 +53,10 @@ from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
 MIN_LOG_EVIDENCE_FRACTION_FOR_NOISE_AT_PLACES = 0.2
-"""Fraction of the largest log evidence of another noise, above which larger noise in intervals of time is also tried at
-single stations, groups of targets and regions of the hall."""
+"""Limit of the log evidence of larger noise in intervals of time, divided by the largest log evidence of another noise.
+Above it, such noise is also tried at single stations, groups of targets and regions of the hall."""
 N_FINE_GRID_NOISE_SIZES = 48
-"""Number of sizes of the changed noise on the fine grid over which the evidence of the best hypotheses is averaged."""
+"""Number of sizes of the changed noise on the fine grid, for the average of the evidence of the best hypotheses."""
 
 
 def noise_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> list[NoiseHypothesis]:
@@ -74,7 +74,7 @@ def noise_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> l
 
 @dataclass(frozen=True)
 class NoiseHypothesisSet:
-    """Noise hypotheses (noise other than declared) for an adjustment, with their evidence.
+    """Hypotheses of changed noise for an adjustment, with their evidence.
 
     The evidence is computed for the recording and for simulated recordings. In the diagonal form (independent readings)
     it is a linear function of squared residuals and of squared means of repeated readings.
@@ -92,13 +92,12 @@ class NoiseHypothesisSet:
     """Matrix (g, m) that maps m observations to g means of repeated readings, first in each face and then in both
     faces."""
     parameter_basis: Floats | None
-    """Orthonormal basis (m, u) of the changes of m observations by u estimated parameters; None in a network that is
-    too large for a basis."""
+    """Orthonormal basis (m, u) of the changes of m observations by u estimated parameters; None for a large network."""
     group_noise_hypotheses: tuple[GroupNoiseHypothesis, ...]
     """Noise hypotheses with a size for each group of readings: noise level, noise by target and by station, noise in
     intervals of time."""
     residual_space: ResidualSpace
-    """Whitened equations of the adjustment, projected off its unknowns (residual space)."""
+    """Residual space of the adjustment: whitened observations without the part that the unknowns absorb."""
 
     @classmethod
     def from_residual_space(
@@ -142,8 +141,9 @@ class NoiseHypothesisSet:
     def log_evidence_by_family(self, residual: Floats | Floats32, redundancy: Floats) -> Floats:
         """Log evidence (families, trials), with priors, of all kinds of changed noise, with independent readings.
 
-        The first rows of the result belong to `family_names`, the others to `group_noise_hypotheses`. `residual` (m,
-        trials) are m whitened residuals of each recording (trial), and `redundancy` (m,) the redundancy numbers.
+        The first rows of the result belong to `family_names`, all following rows to `group_noise_hypotheses`.
+        `residual` (m, trials) are m whitened residuals of each recording (trial), and `redundancy` (m,) the redundancy
+        numbers.
         """
         slices = batches(residual.shape[1], len(residual))
         return np.hstack(

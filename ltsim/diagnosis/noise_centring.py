@@ -27,15 +27,15 @@ from ltsim.recordings.occupations import days_of_pointings, target_occupations
 from ltsim.recordings.recording import Recording
 
 MAX_CENTRING_OCCUPATIONS = 200
-"""Largest number of occupations (placements of a reflector) with which centring errors are a hypothesis, to limit the
-computing time. 200 occupations have 600 columns in the design matrix."""
+"""Largest number of occupations (placements of a reflector) in a recording for which centring errors are a hypothesis,
+to limit the computing time. 200 occupations have 600 columns in the design matrix."""
 
 
 def log_evidence_and_centring_hypotheses(space: ResidualSpace) -> list[tuple[float, NoiseHypothesis]]:
     """Log evidence, without prior, and hypothesis of centring errors: a pair for each kind of occupation.
 
     An occupation is one placement of a reflector on its target: by set-up, by a column of the recording, or by day.
-    `space` has the whitened equations of the adjustment, projected off its unknowns (residual space).
+    `space` is the residual space of the adjustment (whitened observations without the part that the unknowns absorb).
     """
     recording, used = space.adjustment.recording, np.asarray(space.is_used_reading.any(axis=1))
     hypotheses = []
@@ -53,8 +53,8 @@ def log_evidence_and_centring_hypotheses(space: ResidualSpace) -> list[tuple[flo
 def with_estimated_centring(space: ResidualSpace, hypothesis: NoiseHypothesis) -> NoiseHypothesis:
     """Hypothesis of centring errors with the estimated standard deviation of the displacements, and its uncertainty.
 
-    `space` has the whitened equations of an adjustment without these centring errors, projected off its unknowns.
-    `chi2_drop` of the result is twice the increase of the log evidence.
+    `space` is the residual space of an adjustment without these centring errors (whitened observations without the part
+    that the unknowns absorb). `chi2_drop` of the result is twice the increase of the log evidence.
     """
     effect = hypothesis.effect
     assert isinstance(effect, CentringVariance)

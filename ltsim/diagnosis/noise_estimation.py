@@ -30,9 +30,9 @@ from ltsim.physics.effects.linear_effect import CandidateNoiseEffect
 from ltsim.physics.laws.variance import CentringVariance
 
 N_VARIANCE_GRID_VALUES = 7
-"""Number of points of each grid on which the posterior distribution of a variance parameter is summed."""
+"""Number of points of each grid for the sum over the posterior distribution of a variance parameter."""
 N_VARIANCE_GRID_ZOOMS = 9
-"""Number of successively narrower grids on which the posterior distribution of a variance parameter is summed. The sum
+"""Number of successively narrower grids for the sum over the posterior distribution of a variance parameter. The sum
 over a normal density is accurate for spacings of up to 1.5 standard deviations."""
 
 
@@ -41,9 +41,10 @@ def reml_gain_function(
 ) -> Callable[[Floats], Floats]:
     """Function from the values (k,) of k variance parameters to the gain (k,) of log likelihood by each parameter.
 
-    The likelihood is the restricted likelihood. Each reading depends on at most one parameter. The effect changes the
-    standard deviations `sigma` (n, 3) of n pointings, while the m residuals (m,) are whitened by the standard
-    deviations of the residual space. The residual space contains the whitened equations, projected off the unknowns.
+    The residual space is the space of whitened observations without the part that the unknowns absorb. The likelihood
+    is the restricted likelihood. Each reading depends on at most one parameter. The effect changes the standard
+    deviations `sigma` (n, 3) of n pointings, while the m residuals (m,) are whitened by the standard deviations of the
+    residual space.
     """
     faces, used, scale = getattr(effect, "shared_error_repetition", ""), space.is_used_reading, effect.plausible_sizes
     means = normalised_sum_matrix_of_repeats(space, faces) if faces else None
@@ -72,9 +73,9 @@ def reml_gain_function(
 def _log_likelihood_ratios_of_groups(
     reml_gain: Callable[[Floats], Floats], n_groups: int, variance_factors: Floats
 ) -> Floats:
-    """Log restricted likelihood ratios (f, k) of k groups of readings for f variance factors, from `reml_gain`.
+    """Log restricted likelihood ratios (f, k) of k groups of readings, with f variance factors against declared noise.
 
-    `reml_gain` is the function from variance parameters to the gain of restricted log likelihood by each of them.
+    `reml_gain` is a function: the gain (k,) of restricted log likelihood by each of k changes of variance factors.
     """
     base_gain = reml_gain(np.zeros(n_groups))
     return np.stack([reml_gain(np.full(n_groups, factor - 1.0)) - base_gain for factor in variance_factors])

@@ -14,26 +14,27 @@ import scipy.sparse as sp
 from ltsim.core.arrays import Floats, Floats32, Ints, batches, stack_and_release
 
 MIN_NONZERO_FRACTION_OF_DENSE_PATTERN = 0.5
-"""Fraction of nonzero elements above which a pattern (added variance of each reading per unit of a size) is stored as a
-dense row, which limits the memory. The fraction refers to the kinds of observations that the pattern changes."""
+"""Limit of the fraction of nonzero elements of a pattern (added variance of each reading per unit of a size). Above it,
+the pattern is stored as a dense row; below it as sparse, which saves memory. The fraction refers to the kinds of
+observations that the pattern changes."""
 
 
 @dataclass(frozen=True)
 class VariancePatternGroup:
-    """Group of patterns of added variance, and of noise hypotheses, each of which is a pattern times a size.
+    """Group of patterns of added variance, and of hypotheses of changed noise, each of which is a pattern times a size.
 
-    Either all patterns are sparse, or all are dense on the same observation equations. A noise hypothesis is a changed
-    noise. A pattern is the added variance of each reading per unit of the size.
+    A pattern is the added variance of each reading per unit of the size. Either all patterns are sparse, or all are
+    dense on the same observation equations.
     """
 
     hypothesis_indices: Ints
-    """Indices (h,) of the h noise hypotheses (changed noise levels) of the group."""
+    """Indices (h,) of the h hypotheses of changed noise of the group."""
     pattern_indices: Ints
     """Index (h,), in ascending order, of the pattern (added variance of each reading per unit of a size) of each of h
     hypotheses."""
     sizes: Floats32
-    """Size (h,) of each of h noise hypotheses (changed noise levels); the variance factor of an observation is 1 plus
-    the size times its added variance."""
+    """Size (h,) of each of h hypotheses of changed noise. The variance factor of an observation is 1 plus the size
+    times its added variance."""
     row_indices: Ints | slice
     """Indices (r,) of the r observation equations of dense patterns (added variance of each reading per unit of a
     size); all equations for sparse patterns."""
@@ -74,7 +75,7 @@ class VariancePatternGroup:
         return row_indices[changed_indices], log_factors[0, changed_indices].astype(np.float64)
 
     def _log_variance_factors_of(self, member_range: slice) -> Floats32 | sp.csr_array:
-        """Logs (h, r) of the variance factors of r observations by the h hypotheses in a range of this group."""
+        """Logs (h, r) of the variance factors of r observations by the h hypotheses in `member_range`."""
         added_variance, sizes = (
             self.added_variance[self.pattern_indices[member_range]],
             self.sizes[member_range],
@@ -86,7 +87,7 @@ class VariancePatternGroup:
 
 
 def _relative_precision_loss(log_variance_factors: Floats32 | sp.csr_array) -> Floats32 | sp.csr_array:
-    """Relative loss 1 - 1/s of precision by variance factors s, from logs (h, r) of s for h hypotheses."""
+    """Relative loss of precision, 1 - 1/s, by variance factors s of h hypotheses, from the logs (h, r) of s."""
     if isinstance(log_variance_factors, np.ndarray):
         return -np.expm1(-log_variance_factors)
     return sp.csr_array(
@@ -96,8 +97,8 @@ def _relative_precision_loss(log_variance_factors: Floats32 | sp.csr_array) -> F
 
 
 VariancePatternWithSizes = tuple[Floats, tuple[float, ...]]
-"""Pattern of added variance: its values for the first observation equations per unit of the size, and the sizes of the
-hypotheses with this pattern."""
+"""Pattern of added variance (per unit of a size) of the first observation equations, and the sizes of the hypotheses
+with this pattern."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +106,7 @@ class VarianceFactors:
     """Variance factors of noise hypotheses (changed noise), each of which is in one `VariancePatternGroup`."""
 
     n_hypotheses: int
-    """Number h of noise hypotheses (changed noise levels)."""
+    """Number h of hypotheses of changed noise."""
     groups: tuple[VariancePatternGroup, ...]
     """Groups of patterns (added variance of each reading per unit of a size), to one of which each hypothesis
     belongs."""
@@ -114,8 +115,8 @@ class VarianceFactors:
     def from_patterns(cls, patterns: Iterable[VariancePatternWithSizes], observation_kinds: Ints) -> VarianceFactors:
         """Variance factors from the patterns of added variance of consecutive hypotheses.
 
-        `observation_kinds` (m,) is the kind of each of the m observations. A pattern is the added variance of each
-        observation per unit of a size. Dense patterns are stored for all observations of the kinds that they change.
+        A pattern is the added variance of each observation per unit of a size. `observation_kinds` (m,) is the kind of
+        each of the m observations. Dense patterns are stored for all observations of the kinds that they change.
         """
         dense: dict[tuple[bool, ...], tuple[list[Floats32], list[FirstIndexAndSizes]]] = {}
         sparse: list[tuple[Ints, Floats32]] = []

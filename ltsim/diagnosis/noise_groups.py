@@ -36,15 +36,15 @@ MAX_READINGS_FOR_HEAVY_TAIL = 4000
 """Largest number of readings in a recording for which the search tries a heavy tail of their error distribution, to
 limit the computing time."""
 HEAVY_TAIL_VARIANCE_FACTORS = np.array([4.0, 12.0, 36.0, 100.0])
-"""Factors on the variance of a reading in the tail of the error distribution, over which the evidence is averaged. The
-standard deviation is then two to ten times the declared one."""
+"""Factors on the variance of readings in a heavy tail of the error distribution, over which the evidence is averaged.
+They correspond to two to ten times the declared standard deviation."""
 NOISY_OBSERVABLE_SETS: tuple[tuple[str, ...], ...] = (*((name,) for name in OBSERVABLES), OBSERVABLES[1:], OBSERVABLES)
 """Sets of observables that may have larger noise together."""
 
 
 @dataclass(frozen=True)
 class GroupNoiseHypothesis:
-    """Noise hypothesis (noise other than declared) with a separate variance factor for each of g groups of readings."""
+    """Hypothesis of changed noise with a separate variance factor for each of g groups of readings."""
 
     effect: CandidateNoiseEffect
     """Effect on the noise level, with one parameter per group of readings."""
@@ -55,11 +55,11 @@ class GroupNoiseHypothesis:
 
     @property
     def name(self) -> str:
-        """Name of this kind of noise hypothesis (noise other than declared)."""
+        """Name of this kind of hypothesis of changed noise."""
         return self.effect.name
 
     def log_evidence_by_group(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence (g, trials) that the noise of each of g groups differs from the declared noise.
+        """Log evidence (g, trials) that the noise of a group differs from the declared noise, for each of g groups.
 
         It is averaged over variance factors. `residual` (m, trials) are m whitened residuals of each recording (trial),
         and `redundancy` (m,) their redundancy numbers.
@@ -71,16 +71,16 @@ class GroupNoiseHypothesis:
         return log_totals - np.log(len(self.variance_factor_grid))
 
     def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence (trials,) of the noise hypothesis for each recording (trial), from m residuals (m, trials).
+        """Log evidence (trials,) of the changed noise in each recording (trial), from m residuals (m, trials).
 
-        `redundancy` (m,) are the redundancy numbers of the m residuals. A noise hypothesis is a changed noise.
+        `redundancy` (m,) are the redundancy numbers of the m residuals.
         """
         raise NotImplementedError
 
     def limited_to_most_probable_place(self, residual: Floats, redundancy: Floats) -> tuple[GroupNoiseHypothesis, ...]:
-        """Copies of the noise hypothesis limited to the targets, the station or the region with the largest evidence.
+        """Copies of the hypothesis, limited to the targets, the station or the region with the largest evidence.
 
-        The result is empty for a hypothesis that cannot be limited in this way. A noise hypothesis is a changed noise.
+        The result is empty for a hypothesis that cannot be limited in this way.
         """
         del residual, redundancy
         return ()
@@ -121,9 +121,11 @@ class RecordingNoiseLevel(GroupNoiseHypothesis):
 
     @classmethod
     def from_residual_space(cls, space: ResidualSpace, *, allows_noise_below_declared: bool) -> RecordingNoiseLevel:
-        """Noise level of a recording, from the residual space (projected equations) of its adjustment.
+        """Hypothesis on the noise level of a recording, from the residual space of its adjustment.
 
-        It is below the declared level only if `allows_noise_below_declared`.
+        The level is below the declared one only if `allows_noise_below_declared`.
+
+        The level is below the declared one only if `allows_noise_below_declared`.
         """
         level, kind = NoiseLevel(), np.nonzero(space.is_used_reading)[1]
         group_indicators = sp.csr_array(
@@ -189,8 +191,8 @@ class GroupNoiseMixture(GroupNoiseHypothesis):
     def candidates(cls, space: ResidualSpace) -> tuple[GroupNoiseMixture, ...]:
         """Hypotheses of separate noise by target and by station, and of a heavy tail, in a residual space.
 
-        Targets and stations have a common factor for all observables, or a separate factor for each. The residual space
-        contains the whitened equations, projected off the unknowns.
+        The residual space is the space of whitened observations without the part that the unknowns absorb. Targets and
+        stations have a common factor for all observables, or a separate factor for each.
         """
         banks, kinds = [], len(OBSERVABLES)
         for each, per_observable in product(("target", "station"), (False, True)):
@@ -231,7 +233,7 @@ class GroupNoiseMixture(GroupNoiseHypothesis):
 
     @property
     def name(self) -> str:
-        """Name of this kind of noise hypothesis (noise other than declared)."""
+        """Name of this kind of hypothesis of changed noise."""
         return f"unknown:noise:each {getattr(self.effect, 'group_kind', '')}"
 
     def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:

@@ -27,7 +27,7 @@ class NoiseHypothesis:
     chi2_drop: float = 0.0
     """Twice the log restricted likelihood ratio of the noise with the estimated sizes to the declared noise."""
     log_evidence: float = 0.0
-    """Log evidence of the noise hypothesis (noise other than declared), with its prior."""
+    """Log evidence of the hypothesis of changed noise, with its prior."""
     log_occam_factor: float = 0.0
     """Log of the Occam factor of separate noise of many groups: log evidence minus log likelihood ratio of the
     estimates; 0 for other hypotheses."""
@@ -51,10 +51,7 @@ class NoiseHypothesis:
         return min(self.log_evidence - 0.5 * self.chi2_drop, self.log_prior)
 
     def sum_with(self, added_change: NoiseHypothesis) -> NoiseHypothesis:
-        """Sum of this noise hypothesis and a further one with the same effect: their sizes are added.
-
-        A noise hypothesis is a changed noise.
-        """
+        """Sum of this hypothesis of changed noise and another one with the same effect: the sizes are added."""
         return replace(
             self,
             sizes=tuple(a + b for a, b in zip(self.sizes, added_change.sizes, strict=True)),
@@ -65,10 +62,10 @@ class NoiseHypothesis:
 
 
 def log_prior_of_noise_family(family_name: str, family_names: Collection[str]) -> float:
-    """Log prior probability of the kind of noise hypothesis `family_name` among the kinds `family_names`.
+    """Log prior probability of the kind of hypothesis of changed noise `family_name` among the kinds `family_names`.
 
     A kind is a catalogue effect, or begins with `unknown`. The probability of a change in the catalogue is divided in
-    proportion to the base rates of the effects. A noise hypothesis is a changed noise.
+    proportion to the base rates of the effects.
     """
     in_catalogue = [name for name in family_names if not name.startswith("unknown")]
     if family_name.startswith("unknown"):

@@ -22,15 +22,15 @@ ADDED_VARIANCES_AT_PATTERN_MAXIMUM = (2.0, 6.0, 20.0)
 ADDED_VARIANCES_OF_TARGETS = (3.0, 15.0, 75.0)
 """Added variances, divided by the declared variance, that a diagnosis tries for the readings to a target."""
 MAX_POINTINGS_FOR_NOISE_BANDS = 2000
-"""Largest number of pointings for which a diagnosis tries larger noise in intervals of a covariate, to limit the
+"""Largest number of pointings in a recording for which larger noise in intervals of a covariate is tried, to limit the
 computing time."""
 NOISY_SECTOR_WIDTHS = (np.pi / 4.0, np.pi / 2.0)
 """Widths [rad] of the sectors of horizontal directions in which the noise may be larger."""
 NOISY_COVARIATE_QUANTILES = (0.25, 0.5, 0.75)
 """Thresholds above or below which the noise may be larger, as quantiles of a covariate other than a direction."""
 MIN_POINTING_FRACTION_OF_SECTOR = 0.05
-"""Smallest fraction of the pointings inside a sector of directions, and also outside it, for which the sector is
-tried."""
+"""Smallest fraction of the pointings inside a sector of directions, and also outside it. Sectors with fewer pointings
+are not tried."""
 NOISY_REGION_SHAPES = ("xyz", "xy", "x", "y")
 """Shapes of the regions of the hall in which lines of sight may have larger noise, given by the axes along which a
 region is bounded."""

@@ -51,7 +51,7 @@ NOISY_OBSERVABLE_SET_INDICATORS = np.array(
 
 @dataclass(frozen=True)
 class NoiseWindows(GroupNoiseHypothesis):
-    """Larger noise in time windows; a group of readings is one observable in one step of a Markov chain.
+    """Larger noise in time windows, with a separate size for each observable in each step of a Markov chain.
 
     The chain is quiet or noisy in each step of time.
     """
@@ -60,7 +60,7 @@ class NoiseWindows(GroupNoiseHypothesis):
     """Start [s] of each step of the Markov chain (quiet or noisy in each step), and end of the last step, (steps +
     1,)."""
     residual_space: ResidualSpace
-    """Whitened equations of the adjustment, projected off its unknowns (residual space)."""
+    """Residual space of the adjustment: whitened observations without the part that the unknowns absorb."""
     n_tried_places: int = 1
     """Number of places (groups of targets, set-ups, regions) from which the place of this noise was selected; 1 for
     noise in the whole network."""
@@ -94,7 +94,7 @@ class NoiseWindows(GroupNoiseHypothesis):
 
     @property
     def name(self) -> str:
-        """Name of this kind of noise hypothesis (noise other than declared)."""
+        """Name of this kind of hypothesis of changed noise."""
         return "unknown:noise:windows"
 
     def _log_likelihood_ratios(self, residual: Floats, redundancy: Floats) -> Floats:
@@ -210,10 +210,7 @@ class NoiseWindows(GroupNoiseHypothesis):
         return (replace(self, effect=whole, group_indicators=group_indicators, n_tried_places=len(places)),)
 
     def _log_evidence_of_effect(self, effect: VarianceFunction, residual: Floats, redundancy: Floats) -> float:
-        """Log evidence of a noise hypothesis with given time windows and place, averaged over variance factors.
-
-        A noise hypothesis is a changed noise.
-        """
+        """Log evidence of changed noise in given time windows and at a given place, averaged over variance factors."""
         space = self.residual_space
         added = (effect.variance(space.sightings, space.reading_sigmas, np.ones(1)) / space.reading_sigmas**2)[
             space.is_used_reading

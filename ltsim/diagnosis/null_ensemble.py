@@ -36,13 +36,15 @@ standard deviation of such a matrix is sqrt(2 / 200), 10 %."""
 
 @dataclass(frozen=True)
 class NullEnsemble:
-    """Ensemble of vectors (residuals, simulated residuals, basis) for scores and Gram matrices of design matrices.
+    """Residuals of the recording and of simulations, and a basis, side by side, for products with designs.
 
-    The scores of a design matrix are its products with the residuals of the recording and of simulated recordings.
+    The products with residuals are the scores of a design matrix. The products with the basis give its Gram matrix.
+
+    The products with residuals are the scores of a design matrix. The products with the basis give its Gram matrix.
     """
 
     residual_space: ResidualSpace
-    """The m whitened observation equations of the adjustment, projected off its unknowns (residual space)."""
+    """Residual space of the adjustment: whitened observations without the part that the unknowns absorb."""
     probe_vectors: Floats32
     """Vectors (m, 1 + t + u) side by side: the residuals given the effects of a model, the residuals of t simulated
     recordings, and an orthonormal basis of u estimated parameters. With `uses_monte_carlo_gram` the basis is replaced
@@ -51,11 +53,11 @@ class NullEnsemble:
     """Number t of simulated recordings that give the p-value of a search for effects; 0 for a search without
     p-value."""
     model_basis: Floats
-    """Orthonormal basis (m, e), e vectors, of the projected design columns of the effects in the model. Projected
-    means: without the part that the unknowns of the adjustment absorb."""
+    """Orthonormal basis (m, e), e vectors, of the design columns of the effects in the model, projected onto the
+    residual space."""
     is_first_screening: bool
-    """True for the first screening (approximate evaluation of all effects) of a residual space (whitened equations
-    projected off the unknowns), whose Gram matrices later screenings with a model use again."""
+    """True for the first screening (approximate evaluation of all effects) in a residual space; later screenings with a
+    model use its Gram matrices again."""
     uses_monte_carlo_gram: bool
     """True if the Gram matrices of the effects are estimated as means over simulated residuals.
 
@@ -66,7 +68,8 @@ class NullEnsemble:
     def from_residual_space(cls, space: ResidualSpace, seed: int, n_trials: int) -> NullEnsemble:
         """Ensemble for an adjustment without effects, with `n_trials` recordings simulated from `seed`.
 
-        `space` has the whitened equations of the adjustment, projected off its unknowns (residual space).
+        `space` is the residual space of the adjustment (whitened observations without the part that the unknowns
+        absorb).
         """
         basis = parameter_basis_of_small_network(space)
         n_basis_vectors = N_MONTE_CARLO_GRAM_VECTORS if basis is None else basis.shape[1]
@@ -118,7 +121,7 @@ class NullEnsemble:
     def projected_gram(self, scores: Floats | Floats32, unprojected_gram: Floats | None) -> Floats:
         """Gram matrices (..., k, k) of the k design columns of an effect after projection onto the residual space.
 
-        The residual space contains the whitened equations, projected off the unknowns.
+        The residual space is the space of whitened observations without the part that the unknowns absorb.
 
         Parameters
         ----------
@@ -137,7 +140,7 @@ class NullEnsemble:
 
 
 def parameter_basis_of_small_network(space: ResidualSpace) -> Floats | None:
-    """Orthonormal basis (m, u) of changes of m observations by u parameters; None above `MAX_DENSE_UNKNOWNS`."""
+    """Orthonormal basis (m, u) of changes of m observations by u parameters; None in a large network."""
     projector = space.projector
     is_small = isinstance(projector, BasisResidualProjector) and projector.basis.shape[1] <= MAX_DENSE_UNKNOWNS
     return projector.basis if isinstance(projector, BasisResidualProjector) and is_small else None

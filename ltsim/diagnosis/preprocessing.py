@@ -32,8 +32,8 @@ from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import OBSERVABLES, Recording
 
 MIN_FAR_OUTLIER_SIGMAS = 8.0
-"""Difference of an outlier from its prediction, in standard deviations, above which the outlier may be a single error.
-Readings with twice the declared noise do not reach this difference. If the noise is estimated, the limit is
+"""Smallest difference of an outlier from its prediction, in standard deviations, that may be a single error. Readings
+with twice the declared noise do not reach this difference. If the noise is estimated, the limit is
 `MIN_CERTAIN_ERROR_SIGMAS`."""
 MAX_SINGLE_OUTLIERS_PER_PLACE = 2
 """Largest number of outliers of one observable at a station, or at a target, that count as single errors. More outliers

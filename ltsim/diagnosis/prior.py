@@ -38,7 +38,7 @@ P_UNMODELLED_CAUSE = 0.2
 """Prior probability that a cause is neither a catalogue effect nor an empirical law (error as a function of
 covariates), but resembles one of these."""
 P_EVEN_ODDS = 0.5
-"""Prior probability of a statement that is as probable as its contrary. It is used twice: an unmodelled cause acts on
+"""Prior probability of a statement that is as probable as its contrary. The statements are: an unmodelled cause acts on
 the observable of the effect that it resembles; the components of an empirical law (error as a function of covariates)
 have a fixed ratio."""
 MAX_P_OF_TEST_FINDINGS = 1.0 - P_UNMODELLED_CAUSE * P_EVEN_ODDS
@@ -54,7 +54,8 @@ PLACE_KIND_DESCRIPTIONS = {
     "target": "at a target",
     "group": "at a group of targets",
 }
-"""Descriptions of the kinds of places."""
+"""Descriptions, shown to users, of the kinds of places where an error law may act, such as one set-up or all targets.
+"""
 PRIOR_PROBABILITY_BY_RESPONSE_KIND = {
     "reading": 0.5,
     "instrument": 0.17,

@@ -25,8 +25,8 @@ CAUSE_KIND_BY_EFFECT_NAME = {
     "wrong-unit": "unit",
     "outlier": "outlier",
 }
-"""Kind of the simple cause (such as outliers or moved targets) whose recommended action is used after a finding, by the
-name of the catalogue effect."""
+"""Kind of a simple cause (such as outliers or moved targets) by the name of a catalogue effect. The action that is
+recommended after this cause is also recommended after a finding of the effect."""
 
 
 def inspection_action(finding: Finding) -> str:
@@ -54,8 +54,8 @@ def inspection_action(finding: Finding) -> str:
 def _confirmation_text(finding: Finding) -> str:
     """Measurement that confirms the effect of a finding, as text after a semicolon.
 
-    The text is empty for an empirical law outside the catalogue, and if no measurement is needed. An empirical law is
-    an error as a function of covariates.
+    An empirical law describes an error as a function of covariates. The text is empty for an empirical law outside the
+    catalogue, and if no measurement is needed.
     """
     if not finding.is_catalogued:
         return ""

@@ -12,9 +12,9 @@ from ltsim.physics.laws.variance import REPEATS_PER_FACE
 def normalised_sum_matrix_of_repeats(space: ResidualSpace, repetition_kind: str = REPEATS_PER_FACE) -> sp.csr_array:
     """Matrix (g, m) that maps the m observations of a residual space to g scaled means of repeated readings.
 
-    Repeated readings have the same observable, target and station. If `repetition_kind` is `REPEATS_PER_FACE`, they
-    also have the same face. A scaled mean is a sum of readings divided by the square root of their number. The residual
-    space contains the whitened equations, projected off the unknowns.
+    The residual space is the space of whitened observations without the part that the unknowns absorb. Repeated
+    readings have the same observable, target and station. If `repetition_kind` is `REPEATS_PER_FACE`, they also have
+    the same face. A scaled mean is a sum of readings divided by the square root of their number.
     """
     s = space.sightings
     pair = 2 * (s.station * len(s.target_names) + s.target) + ((s.face == 2) & (repetition_kind == REPEATS_PER_FACE))
@@ -40,9 +40,9 @@ def redundancy_of_means(averaging_matrix: sp.csr_array, redundancy: Floats) -> F
 def added_variance_of_means(averaging_matrix: sp.csr_array, added_variance: Floats) -> Floats:
     """Added variance (g,) of g scaled means of repeated readings that share their errors.
 
-    Added variances are divided by the declared variance. `added_variance` (k,) is that of the first k observations. The
-    added variance of a mean is the sum over its readings, because the errors of these readings are equal.
-    `averaging_matrix` maps the readings to the means.
+    Added variances are divided by the declared variance. `added_variance` (k,) contains the added variances of the
+    first k observations. The added variance of a mean is the sum over its readings, because the errors of these
+    readings are equal. `averaging_matrix` maps the readings to the means.
     """
     padded = np.append(added_variance, np.zeros(averaging_matrix.shape[1] - len(added_variance)))
     return np.maximum((averaging_matrix > 0).astype(np.float64) @ padded, 0.0)

@@ -50,9 +50,9 @@ from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.sizes import displayed_sizes
 
 MAX_COEFFICIENTS_OF_SIMPLE_EFFECT = 10
-"""Number of coefficients above which an effect may imitate several effects. If the selected model has such an effect, a
-second search for effects starts from the most probable hypothesis with fewer coefficients. A curve in one covariate has
-this number of coefficients: a slope and `N_CURVE_MODES` eigenfunctions."""
+"""Largest number of coefficients of a simple effect. An effect with more coefficients may imitate several effects; if
+the selected model has such an effect, a second search starts from the most probable simple hypothesis. A curve in one
+covariate has this number of coefficients: a slope and `N_CURVE_MODES` eigenfunctions."""
 N_EXACTLY_EVALUATED_IN_LARGE_NETWORK = 3
 """Number of catalogue effects, and of laws (functions of covariates), evaluated exactly per step in a large network."""
 MAX_RANKED_LAWS = 400
@@ -126,7 +126,7 @@ class Searcher:
         return N_EXACTLY_EVALUATED_IN_LARGE_NETWORK if self.uses_fewer_evaluations else N_EXACTLY_EVALUATED_HYPOTHESES
 
     def without_rows(self, rows: Ints) -> Searcher:
-        """Search without f observation equations `rows` (f,), with as few exact evaluations as in large networks.
+        """Search that does not use f observations `rows` (f,), with as few exact evaluations as in large networks.
 
         It is equivalent to a search that also estimates an error of each of these observations. The best laws of each
         kind are not evaluated, to save time. Gram matrices of all observations are still used.
@@ -283,7 +283,7 @@ class Searcher:
         return coefficient_posterior(gram, score, law.plausible_sizes)[:2]
 
     def model_with(self, hypotheses: Sequence[Hypothesis]) -> EffectModel:
-        """Model (set of effects, with their residuals) with the given hypotheses."""
+        """Model that consists of the given hypotheses, with the residuals after their estimation."""
         if not hypotheses:
             return self.empty_model
         designs, norms = zip(*map(self._projected_design, hypotheses), strict=True)
@@ -294,7 +294,7 @@ class Searcher:
         return self.model_with(model.hypotheses[:effect_index] + model.hypotheses[effect_index + 1 :])
 
     def _projected_design(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
-        """Design matrix (m, k) of a hypothesis, projected off the unknowns, and column norms (k,) before projection."""
+        """Design matrix (m, k) of a hypothesis in the residual space, and column norms (k,) before its projection."""
         key = hypothesis.effect_key
         if key not in self._projected_designs:
             whole = self.evidence_calculator.whitened_design(hypothesis.effect)
@@ -395,6 +395,6 @@ class Searcher:
 
 
 def _best_model(models: Sequence[EffectModel]) -> EffectModel:
-    """Model with the largest log evidence; the first one if several are equal."""
+    """Model with the largest log evidence; of several equal models the first."""
     most = max(model.penalised_log_evidence for model in models)
     return next(model for model in models if model.penalised_log_evidence >= most - NORMAL_EQUATIONS_TOLERANCE)

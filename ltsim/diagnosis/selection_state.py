@@ -28,7 +28,7 @@ from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
 
 N_VARIANCE_ITERATIONS = 2
-"""Number of adjustments with new weights, after which the variance components have converged."""
+"""Number of adjustments with new weights, which is sufficient for the convergence of the variance components."""
 
 
 @dataclass(frozen=True)
@@ -52,9 +52,10 @@ class SelectionState:
     """Standard deviations (n, 3) [m, rad, rad] of the readings of n pointings, with the selected noise hypotheses
     (noise other than declared)."""
     residual_space: ResidualSpace
-    """Whitened equations of the adjustment with the present weights, projected off its unknowns (residual space)."""
+    """Residual space of the adjustment with the present weights: whitened observations without the part that the
+    unknowns absorb."""
     selected_noise_hypotheses: tuple[NoiseHypothesis, ...] = ()
-    """Noise hypotheses (noise other than declared) that have been selected."""
+    """Hypotheses of changed noise that have been selected."""
     earlier_catalogue_designs: CatalogueDesigns | None = None
     """Design matrices of the catalogue effects from the latest search in an earlier state; None before the first
     search."""
@@ -108,9 +109,9 @@ class SelectionState:
 
     @cached_property
     def noise_hypotheses(self) -> NoiseHypothesisSet:
-        """Noise hypotheses (noise other than declared) in the residual space of the present adjustment.
+        """Hypotheses of changed noise in the residual space of the present adjustment.
 
-        The residual space contains the whitened equations, projected off the unknowns.
+        The residual space is the space of whitened observations without the part that the unknowns absorb.
         """
         return self._noise_hypotheses(self.residual_space)
 
@@ -132,10 +133,10 @@ class SelectionState:
     ) -> Refit:
         """Nonlinear adjustment with effects in the model and standard deviations `sigma` (n, 3) of n pointings.
 
-        Without effects and noise hypotheses it is the ordinary adjustment. Parameters have a prior standard deviation
-        of `WIDE_PRIOR_SIGMA_FACTOR` times their plausible size, because the readings may not determine some
+        Without effects and hypotheses of changed noise it is the ordinary adjustment. Parameters have a prior standard
+        deviation of `WIDE_PRIOR_SIGMA_FACTOR` times their plausible size, because the readings may not determine some
         combinations. Centring errors among `selected_noise_hypotheses` (by default those of the state) are in the
-        model. A noise hypothesis is a changed noise.
+        model.
         """
         selected_noise_hypotheses = (
             self.selected_noise_hypotheses if selected_noise_hypotheses is None else selected_noise_hypotheses
@@ -186,7 +187,7 @@ class SelectionState:
         return self._with_attributes(baseline_adjustment=baseline)._with_space_of_refit()
 
     def _with_attributes(self, **attributes: object) -> SelectionState:
-        """Copy of the selection state with other attributes, and with the design matrices of its search, if any."""
+        """Copy of the selection state with other attributes; a search in it keeps its design matrices."""
         searcher: Searcher | None = vars(self).get("searcher")  # no search is started for its design matrices alone
         designs = self.earlier_catalogue_designs if searcher is None else searcher.catalogue_designs
         return replace(self, earlier_catalogue_designs=designs, **attributes)  # type: ignore[arg-type]
@@ -197,9 +198,9 @@ class SelectionState:
         return self._with_attributes(residual_space=ResidualSpace.from_adjustment(adjustment))
 
     def ranked_noise_hypotheses(self, model: EffectModel) -> list[tuple[float, NoiseHypothesis]]:
-        """Pairs of a log evidence and the most probable noise hypothesis of each kind, given the effects of a model.
+        """Most probable hypothesis of each kind of changed noise, preceded by its log evidence given a model's effects.
 
-        The pairs are sorted by decreasing evidence. A noise hypothesis is a changed noise.
+        The pairs are sorted by decreasing evidence.
         """
         redundancy = self.residual_space.redundancy - np.sum(model.projected_basis**2, axis=1)
         ranked = self.noise_hypotheses.ranked_noise_hypotheses(model.residual, redundancy, model.projected_basis)
@@ -208,10 +209,10 @@ class SelectionState:
         return sorted(ranked, key=lambda entry: -entry[0])
 
     def with_noise_hypothesis(self, hypothesis: NoiseHypothesis, effects: Sequence[CandidateEffect]) -> SelectionState:
-        """State of the model selection after the addition of a noise hypothesis, estimated with `effects` in the model.
+        """State of the model selection after the addition of changed noise, estimated with `effects` in the model.
 
         If a hypothesis with the same effect was selected before, the sizes are added. All noise hypotheses are then
-        estimated together. A noise hypothesis is a changed noise.
+        estimated together.
         """
         new_change = with_estimated_sizes(
             self.residual_space.with_effects(effects), self.residual_space.reading_sigmas, hypothesis
@@ -227,26 +228,23 @@ class SelectionState:
         return self._with_selected_noise_hypotheses(selected_noise_hypotheses).with_estimated_noise(effects)
 
     def _with_selected_noise_hypotheses(self, selected_noise_hypotheses: Sequence[NoiseHypothesis]) -> SelectionState:
-        """State of the model selection with other noise hypotheses, and the standard deviations that follow from them.
-
-        A noise hypothesis is a changed noise.
-        """
+        """State of the model selection with other hypotheses of changed noise, and resulting standard deviations."""
         changed = self._with_attributes(selected_noise_hypotheses=tuple(selected_noise_hypotheses))
         return changed._with_attributes(reading_sigmas=changed._sigmas_with_noise_hypotheses(selected_noise_hypotheses))
 
     @property
     def log_evidence_of_noise(self) -> float:
-        """Log evidence of the selected noise hypotheses without effects, up to a constant of the recording.
+        """Log evidence of the selected hypotheses of changed noise without effects, up to a constant of the recording.
 
         It is the restricted log likelihood of the present adjustment, plus a term for each hypothesis. The term is its
-        log evidence minus its log likelihood ratio at the time of its selection. A noise hypothesis is a changed noise.
+        log evidence minus its log likelihood ratio at the time of its selection.
         """
         return log_restricted_likelihood(self.residual_space.adjustment) + sum(
             n.log_prior_times_occam_factor for n in self.selected_noise_hypotheses
         )
 
     def log_evidence_with_effects(self, hypotheses: Sequence[Hypothesis]) -> float:
-        """Log evidence of effects together with the selected noise hypotheses (noise other than declared).
+        """Log evidence of effects together with the selected hypotheses of changed noise.
 
         The noise is estimated with the effects of `hypotheses` in the model. The result is comparable with
         `log_evidence_of_noise`, the log evidence without these effects.
@@ -260,16 +258,16 @@ class SelectionState:
     def with_estimated_noise(self, effects: Sequence[CandidateEffect]) -> SelectionState:
         """State of the model selection with variance components estimated by REML (Foerstner 1979).
 
-        `effects` are in the model. The residual space is that of an adjustment with the estimated noise. The residual
-        space contains the whitened equations, projected off the unknowns.
+        The residual space is the space of whitened observations without the part that the unknowns absorb. `effects`
+        are in the model. The residual space is that of an adjustment with the estimated noise.
         """
         return self._with_estimated_variances(effects)._with_space_of_refit()
 
     def _with_estimated_variances(self, effects: Sequence[CandidateEffect]) -> SelectionState:
         """State of the model selection with estimated variance components, but with the present residual space.
 
-        The components are estimated by REML, with `effects` in the model. The residual space contains the whitened
-        equations, projected off the unknowns.
+        The residual space is the space of whitened observations without the part that the unknowns absorb. The
+        components are estimated by REML, with `effects` in the model.
         """
         state = self
         for _ in range(N_VARIANCE_ITERATIONS):
@@ -306,8 +304,7 @@ class SelectionState:
     def expected_variance_factors(self, effects: Sequence[CandidateEffect]) -> Floats:
         """Posterior mean (n, 3) of factors on the declared variances of n pointings, with `effects` in the model.
 
-        Each selected noise hypothesis is averaged over its alternatives, given the others. A noise hypothesis is a
-        changed noise.
+        Each selected hypothesis of changed noise is averaged over its alternatives, given the others.
         """
         factors = np.ones(self.reading_sigmas.shape)
         for change in (n for n in self.selected_noise_hypotheses if not isinstance(n.effect, CentringVariance)):
@@ -317,9 +314,9 @@ class SelectionState:
         return factors
 
     def _noise_hypotheses(self, space: ResidualSpace) -> NoiseHypothesisSet:
-        """Noise hypotheses (noise other than declared) in the residual space `space`.
+        """Hypotheses of changed noise in the residual space `space`.
 
-        The residual space contains the whitened equations, projected off the unknowns.
+        The residual space is the space of whitened observations without the part that the unknowns absorb.
         """
         quieter = not any(
             getattr(change.effect, "shared_error_repetition", "") for change in self.selected_noise_hypotheses
@@ -331,7 +328,7 @@ class SelectionState:
     def with_pruned_noise(self, effects: Sequence[CandidateEffect]) -> SelectionState:
         """State of the model selection with new estimates of the noise, with `effects` in the model.
 
-        Noise hypotheses without a positive log evidence are removed. A noise hypothesis is a changed noise.
+        Hypotheses of changed noise without a positive log evidence are removed.
         """
         state = self._with_estimated_variances(effects)
         supported = [
@@ -342,10 +339,7 @@ class SelectionState:
         return state._with_selected_noise_hypotheses(supported).with_estimated_noise(effects)
 
     def _sigmas_with_noise_hypotheses(self, selected_noise_hypotheses: Sequence[NoiseHypothesis]) -> Floats:
-        """Standard deviations (n, 3) [m, rad, rad] of the readings of n pointings with the given noise hypotheses.
-
-        A noise hypothesis is a changed noise.
-        """
+        """Standard deviations (n, 3) [m, rad, rad] of the readings of n pointings, given a changed noise."""
         sigma, sightings = self.recording.reading_sigmas(), self.baseline_adjustment.sightings
         for change in selected_noise_hypotheses:
             sigma = np.sqrt(change.effect.variance(sightings, sigma, np.array(change.sizes)))

@@ -16,7 +16,7 @@ from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.text_form import law_suffix
 
 MIN_PROBABILITY_OF_PROBABLE_CAUSE = 0.5
-"""Smallest probability at which a cause is reported as probable: it is then more probable than not."""
+"""Smallest probability of a cause that is reported as probable: one that is more probable than not."""
 CONTRADICTED_MODEL_SENTENCE = (
     " Held-out readings are predicted worse with the effects in the model than without them. These effects are "
     "therefore improbable. Look for single wrong pointings and for repeats that share errors."
@@ -115,8 +115,8 @@ def law_sentence(
 ) -> str:
     """Sentences on an empirical law outside the catalogue: changed quantity, function, place, size, probability.
 
-    `law_text` is the description of the law, and `p_same_scope` the probability of any effect with the same scope
-    (observables, place, covariates). An empirical law is an error as a function of covariates.
+    An empirical law describes an error as a function of covariates. `law_text` is the description of the law, and
+    `p_same_scope` the probability of any effect with the same scope (observables, place, covariates).
     """
     sizes_text = estimates_phrase(parameters)
     size_phrase = f" ({sizes_text})" if sizes_text else ""

@@ -25,8 +25,8 @@ MAX_CENTRE_SIGMA_IN_STEPS = 20.0
 """Largest standard deviation of a coordinate of a region's centre, divided by `REGION_CENTRE_DIFFERENCE_STEP`. A
 coordinate that the readings do not determine gets this standard deviation."""
 N_SHAPE_GRID_POINTS = 11
-"""Number of grid points over which a shape parameter is integrated, from one step below its optimum to one step above
-(steps of the grid on which a diagnosis tries the parameter)."""
+"""Number of grid points in the integral over a shape parameter, from one step below its optimum to one step above
+(steps of the grid of values that a diagnosis tries)."""
 N_REFINEMENT_GRID_POINTS = 9
 """Number of points of each refinement of the grid of a shape parameter around its optimum. The peak of the evidence may
 be much narrower than a step."""
@@ -171,7 +171,7 @@ def _index_and_duration_of_gap(effect: CandidateEffect, sightings: Sightings) ->
 
 
 def _distinct_neighbours(effect: CandidateEffect, sightings: Sightings) -> list[CandidateEffect]:
-    """Effect and its neighbours (slightly different effects), one for each place and gap between pointings.
+    """Effect and slightly different effects, one for each place and each gap between consecutive pointings.
 
     Each gap has then the same weight.
     """
@@ -190,7 +190,7 @@ def shape_parameter_nodes(
     *,
     uses_search_prior: bool = False,
 ) -> list[ShapeParameterNode]:
-    """Nodes of a grid over the shape parameters of an effect, and over neighbouring effects (other gap or place).
+    """Nodes of a grid over the shape parameters of an effect, and over slightly different effects.
 
     The result is empty for an effect without shape parameters and neighbours. The grid is finer around the shape
     parameters of `effect`. `shape_parameter_sigmas` are the standard deviations [SI] of these parameters by name. The

@@ -24,18 +24,18 @@ from ltsim.physics.laws.regressors import Regressor, scalar_regressor
 from ltsim.scene.sightings import Sightings
 
 MIN_SWITCH_EDGES_BY_REGION_DEPENDENCE = {True: 1, False: 2}
-"""Smallest number of times within set-ups at which a switched empirical law (error as a function of covariates) turns
-on or off: for a law with a region of the hall (True), and for other laws (False). A single step without a region is an
+"""Smallest number of times, within set-ups, when a switched empirical law (error as a function of covariates) turns on
+or off: for a law with a region of the hall (True), and for other laws (False). A single step without a region is an
 effect of the catalogue, or a sum of steps."""
 MIN_TARGET_SWITCH_EDGES = 3
-"""Smallest number of times at which a switched empirical law (error as a function of covariates) that acts on one
-target turns on or off. With one or two such times the law equals a catalogue effect, such as a target that moved."""
+"""Smallest number of times when a switched empirical law (error as a function of covariates) of one target turns on or
+off. With one or two such times the law equals a catalogue effect, such as a target that moved."""
 MAX_PIECES_OF_LAW = 10
 """Largest number of steps and ramps of an empirical law (error as a function of covariates), and of intervals of the
 covariate in which a law is switched on or off."""
 N_TOGGLED_INTERVALS_AFTER_MAXIMUM = 3
-"""Number of intervals of the covariate in which a stepwise search switches an error on or off after the last increase
-of the evidence, before the search stops."""
+"""Number of further intervals of the covariate that a stepwise search switches on or off after the last increase of the
+evidence, before the search stops."""
 
 MIN_SWITCHED_MEAN_SQUARE_RATIO = 1e-3
 """Smallest mean square of a function of a covariate that is switched on and off, divided by its mean square if it is
@@ -45,15 +45,15 @@ always on. At this limit an empirical law acts on about one pointing in a thousa
 class SpanGramAndScore(NamedTuple):
     """Gram matrix and score of an empirical law with separate coefficients in each of S spans of its covariate.
 
-    An empirical law is an error as a function of covariates.
+    An empirical law describes an error as a function of covariates.
     """
 
     gram: Floats
-    """Gram matrix (S, w, S, w) of the projected design columns for w coefficients in each of S spans (intervals) of a
-    covariate. Projected means: without the part that the unknowns of the adjustment absorb."""
+    """Gram matrix (S, w, S, w) of the design columns, projected onto the residual space, for w coefficients in each of
+    S spans (intervals) of a covariate."""
     score: Floats
-    """Products (S, w) of the projected design columns with the residuals, for w coefficients in each of S spans
-    (intervals) of a covariate. Projected means: without the part that the unknowns of the adjustment absorb."""
+    """Products (S, w) of the design columns with the residuals, for w coefficients in each of S spans (intervals) of a
+    covariate."""
     mean_square_contributions: Floats
     """Contribution (S,) of each of S spans (intervals of a covariate) to the mean square of the regressor (function of
     the covariate)."""
@@ -62,9 +62,9 @@ class SpanGramAndScore(NamedTuple):
 def n_tried_waves_of_same_covariate(law: EmpiricalLaw, sightings: Sightings) -> int:
     """Number of waves of the same covariate that a diagnosis tried, if an empirical law has a wave; otherwise 1.
 
-    The law with the most probable of these waves represents any switch. The prior of the switch is therefore the prior
-    of the law multiplied by the number of waves. An empirical law is an error as a function of covariates. A switch is
-    on in some intervals of a covariate, and off in the others.
+    An empirical law describes an error as a function of covariates. A switch is on in some intervals of a covariate,
+    and off in the others. The law with the most probable wave represents any switch. The prior of the switch is
+    therefore the prior of the law multiplied by the number of waves.
     """
     swing = law.switchable_factor
     if swing is None or swing.kind != "wave":
@@ -82,9 +82,9 @@ def switched_forms(
 ) -> list[Hypothesis]:
     """Copies of an empirical law that act only in some spans of its covariate; empty if the law cannot be switched.
 
-    `log_prior` is the log prior probability of a copy. The effects of `conditioning_model` are estimated in addition.
-    If the law has a region of the hall, a local search fits the region before the times, unless `refines_region` is
-    false. An empirical law is an error as a function of covariates.
+    An empirical law describes an error as a function of covariates. `log_prior` is the log prior probability of a copy.
+    The effects of `conditioning_model` are estimated in addition. If the law has a region of the hall, a local search
+    fits the region before the times, unless `refines_region` is false.
     """
     sightings = calculator.residual_space.sightings
     edges = law.candidate_switch_steps(sightings)
@@ -113,9 +113,9 @@ def _forms_with_formula_as_second_factor(
 ) -> list[Hypothesis]:
     """List of an empirical law with a switch in which a formula replaces the curve in the other factor of the law.
 
-    The list is empty if `form`, the law, has no curve. The effects of `conditioning_model` are estimated in addition.
-    An empirical law is an error as a function of covariates. A switch is on in some intervals of a covariate, and off
-    in the others.
+    An empirical law describes an error as a function of covariates. The list is empty if `form`, the law, has no curve.
+    The effects of `conditioning_model` are estimated in addition. A switch is on in some intervals of a covariate, and
+    off in the others.
     """
     law = form.effect
     assert isinstance(law, EmpiricalLaw)
@@ -140,8 +140,8 @@ def _span_gram_and_score(
 ) -> SpanGramAndScore:
     """Gram matrix and score of an empirical law with separate coefficients in each interval of its covariate.
 
-    The intervals extend from each of the steps `step_regressors` to the next. The effects of `conditioning_model` are
-    estimated in addition. An empirical law is an error as a function of covariates.
+    An empirical law describes an error as a function of covariates. The intervals extend from each of the steps
+    `step_regressors` to the next. The effects of `conditioning_model` are estimated in addition.
     """
     sightings, count = calculator.residual_space.sightings, len(step_regressors)
     x = sightings.covariate_values[step_regressors[0].covariates[0]]
@@ -161,12 +161,12 @@ def _span_gram_and_score(
 
 
 def _span_differences(step_values: Floats) -> Floats:
-    """Values (S, ...) of S spans of a covariate from those of S steps: each step minus the next."""
+    """Values (S, ...) of S intervals of a covariate: value at the step that begins each, minus that at the next."""
     return step_values - np.concatenate([step_values[1:], np.zeros_like(step_values[:1])])
 
 
 def _best_span_states(spans: SpanGramAndScore, plausible_sizes: Floats) -> tuple[Bools, float, int]:
-    """States (S,) of S spans of a covariate, on or off, with the largest evidence, and two numbers.
+    """States (S,), on or off, of S intervals of a covariate with the largest evidence, and two numbers.
 
     The numbers are the log evidence and the number of intervals that were switched on or off one after another. Each of
     these intervals reduces the log evidence by the log of the number of all intervals.

@@ -47,7 +47,7 @@ def quaternion_from_matrix(matrix: Floats) -> Floats:
 
 
 MIN_SINE_BETWEEN_DIRECTIONS = 1e-12
-"""Sine of the angle between two unit vectors, below which they count as parallel or opposite."""
+"""Smallest sine of the angle between two unit vectors that do not count as parallel or opposite."""
 
 
 def smallest_rotation(start_axis: Floats, goal_axis: Floats) -> Floats:
@@ -66,8 +66,8 @@ def smallest_rotation(start_axis: Floats, goal_axis: Floats) -> Floats:
 VERTICAL = np.array([0.0, 0.0, 1.0])
 """Unit vector of the vertical in the network frame."""
 MAX_COLLINEAR_RATIO = 1e-6
-"""Largest ratio of the extent of points across their best-fit line to their extent along it, at which the points count
-as collinear. Collinear points do not determine a rotation about their line."""
+"""Limit of the extent of points across their best-fit line, divided by their extent along it. Points with a smaller
+ratio count as collinear; they do not determine a rotation about their line."""
 MIN_POINTS_FOR_POSE = 3
 """Smallest number of points, not on one line, that determine a pose or rigid motion (six parameters)."""
 
@@ -147,18 +147,18 @@ def determines_pose(
 MAX_REWEIGHTING_PASSES = 8
 """Largest number of reweighted least-squares fits in `align_sets_robustly`."""
 MAX_LARGEST_TO_MEDIAN_DISTANCE_RATIO = 8.0
-"""Ratio of the largest to the median distance between aligned points and their goals, below which the reweighting ends,
-because no point is an outlier."""
+"""Limit of the ratio of the largest to the median distance between aligned points and their goals. Below it no point is
+an outlier, and the reweighting ends."""
 MAX_OUTLIER_FREE_MISFIT = 1e-4
-"""Mean distance [m] between points and their goals after a least-squares alignment, above which `align_sets_robustly`
-also starts from triples of points, because an outlier may have distorted this alignment. 0.1 mm is sufficient for start
-values of an adjustment."""
+"""Limit of the mean distance [m] between points and their goals after a least-squares alignment. Above it an outlier
+may have distorted the alignment, and `align_sets_robustly` also starts from triples of points. 0.1 mm is sufficient for
+start values of an adjustment."""
 MAX_POINTS_FOR_ALL_TRIPLES = 6
-"""Largest number of points at which a robust alignment starts from every triple of points, not only from some."""
+"""Largest number of points for a robust alignment that starts from every triple of points, not only from some."""
 N_RANDOM_TRIPLES = 30
-"""Number of random triples of points from which a robust alignment starts, if there are too many points to try all
-triples. Of 30 triples at least one contains no outlier with a probability of 98 %, if half of the points are outliers;
-if a third are, the probability is 99.999 %."""
+"""Number of random triples of points from which a robust alignment of many points starts. Of 30 triples at least one
+contains no outlier with a probability of 98 %, if half of the points are outliers; if a third are, the probability is
+99.999 %."""
 
 
 def align_rigidly(points: Floats, goal_points: Floats, weights: Floats | None = None) -> tuple[Floats, Floats]:
@@ -306,7 +306,7 @@ def _alignment_residual_distances(points: Floats, goal_points: Floats, rigid_mot
 
 
 def _sum_of_log_distances(distances: Floats) -> Floats:
-    """Sum (...) of the logarithms of n distances (..., n) [m]; smaller ones count as `MAX_OUTLIER_FREE_MISFIT`.
+    """Sum (...) of the logarithms of n distances (..., n) [m], each at least `MAX_OUTLIER_FREE_MISFIT`.
 
     An alignment with a few large and many small distances has a smaller sum than one with all distances of medium size.
     """

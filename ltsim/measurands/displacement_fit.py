@@ -19,9 +19,10 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE, SQRT_MACHINE_EPSILON
 
 MIN_EIGENVALUE = float(np.square(NORMAL_EQUATIONS_TOLERANCE))
-"""Smallest eigenvalue of the scaled normal equations of a point at which its displacement is determined in the
-direction of the eigenvector. The normal equations are scaled by the norms of the point's columns before the elimination
-of other unknowns; the value is the square of the smallest fraction of a column that must remain."""
+"""Limit of an eigenvalue of the scaled normal equations of a point. Above it, the displacement of the point is
+determined in the direction of the eigenvector. The normal equations are scaled by the norms of the point's columns
+before the elimination of other unknowns; the limit is the square of the smallest fraction of a column that must remain.
+"""
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class WhitenedDifferences:
 
     @cached_property
     def motion_design(self) -> Floats:
-        """Whitened design of the free motions (rigid motions of all points), shape (m whitened rows, free motions)."""
+        """Whitened derivatives (m, motions) of the differences by the free motions (rigid motions of all points)."""
         return self.whitening_root @ self.free_motions
 
     def point_coordinate_indices(self, points: Sequence[int]) -> Ints:
@@ -85,7 +86,7 @@ class WhitenedDifferences:
                 tests.right_sides - np.einsum("bna,b->na", change, added.T @ self.observations),
                 tests.column_norms,
             )
-        return self._without_insignificant(moved, limit)
+        return self._without_insignificant_displacements(moved, limit)
 
     def _residual_basis(self, basis: Floats, point: int, column_norms: Floats) -> Floats:
         """Orthonormal basis (m, k) of the k columns of a point without their part in the space of `basis` (m, q)."""
@@ -97,11 +98,11 @@ class WhitenedDifferences:
         vectors, sizes, _ = np.linalg.svd(columns, full_matrices=False)
         return np.asarray(vectors[:, sizes > NORMAL_EQUATIONS_TOLERANCE])
 
-    def _without_insignificant(self, moved: list[int], limit: float) -> list[int]:
+    def _without_insignificant_displacements(self, moved: list[int], limit: float) -> list[int]:
         """Points of `moved` whose displacement reduces the sum of squared residuals by at least `limit`.
 
         The points are tested one by one, with the displacements of the others in the model; the least significant
-        leaves first.
+        displacement is removed first.
         """
         values, covariance = self.fit(moved).displacements
         remaining_points = list(moved)
@@ -126,7 +127,7 @@ class PointTests:
     axes)."""
     right_sides: Floats
     """Right sides of the normal equations of the points, shape (N, axes): products of the residuals of the fit with the
-    design columns of each point, without the part of these columns that the fit contains."""
+    design columns of each point, after projection of these columns onto the residuals."""
     column_norms: Floats
     """Norm of the design column of each coordinate after elimination of the free motions, shape (N, axes); 0 for an
     undetermined coordinate."""

@@ -307,8 +307,8 @@ def _motions_with_rotations_about_centre(free_motions: Floats, centre: Floats) -
 
 
 MAX_NAME_EXCHANGE_RATIO = 0.1
-"""Largest ratio at which the names of two points count as exchanged. The ratio is the distance of each point from the
-first-epoch position of the other point, divided by the distance between the two points."""
+"""Limit of the distance of each of two points from the first-epoch position of the other point, divided by the distance
+between the points. If the ratio is smaller, their names count as exchanged."""
 MOTIONS_BY_RANK_DEFECT = {3: (0, 1, 2), 4: (0, 1, 2, 5), 6: tuple(range(6))}
 """Indices of the free rigid motions of a network, by the rank defect of its covariance matrix; 0 to 2 are translations
 along x, y and z, 3 to 5 are rotations about these axes."""

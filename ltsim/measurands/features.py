@@ -19,7 +19,7 @@ from ltsim.core.errors import ModelError
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 FEATURE_STEP_TOLERANCE = 1e-11
-"""Largest Gauss-Newton step, relative to the extent of the points, at which the fit of a feature has converged."""
+"""Gauss-Newton step, relative to the extent of the points, at which the fit of a feature has converged."""
 N_INITIAL_CYLINDER_AXES = 60
 """Number of initial directions for the axis of a cylinder, distributed over a half sphere."""
 

@@ -221,5 +221,4 @@ _OUTPUTS_BY_TASK_KIND = {
     "sphere": _outputs_in_mm("x", "y", "z", "diameter", "sphericity"),
     "cylinder": [*_DIRECTION_OUTPUTS, *_outputs_in_mm("diameter", "cylindricity")],
 }
-"""Names and units of the results of a task, by kind of task, for the kinds whose list of results is the same for any
-targets."""
+"""Names and units of the results of a task, by kind of task, for kinds with the same results for all targets."""

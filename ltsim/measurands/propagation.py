@@ -32,8 +32,8 @@ from ltsim.recordings.epoch_coordinates import EpochCoordinates
 N_NONLINEARITY_DRAWS = 8
 """Number of random draws of errors with which the exact and the linearised adjustment are compared."""
 MAX_NONLINEARITY_RATIO = 0.05
-"""Largest difference of a result between the exact and the linearised adjustment, divided by its standard uncertainty,
-for which no warning is given."""
+"""Limit of the difference of a result between the exact and the linearised adjustment, divided by its standard
+uncertainty. A larger difference leads to a warning."""
 
 
 def thermal_expansion_of_part(declared_expansion: PartExpansion | None) -> ThermalExpansion:
@@ -162,8 +162,8 @@ def max_nonlinearity_differences(task_inputs: TaskInputs, measurands: Sequence[M
 TRIALS_PER_BATCH = 10_000
 """Number of trials in a batch; the stability of the results is checked after each batch."""
 MIN_NUMERICAL_TOLERANCE_TO_ERROR_RATIO = 5.0
-"""Smallest ratio of the numerical tolerance of a result to its numerical error at which the intervals by propagation
-and Monte Carlo are compared (JCGM 101, clause 8.2)."""
+"""Limit of the ratio of the numerical tolerance of a result to its numerical error. The intervals by propagation and
+Monte Carlo are compared only if the ratio is larger (JCGM 101, clause 8.2)."""
 CHARACTERISTIC_FUNCTION_STEP = 0.05
 """Step of the numerical integral over the characteristic function of a result, in units of 1 / (standard deviation of
 the result)."""

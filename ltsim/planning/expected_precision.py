@@ -200,14 +200,14 @@ class DisagreementPredictor:
     """
 
     error_groups: tuple[str, ...]
-    """Names of the G groups of errors: noise, gauge lengths, instrument parameters by kind, unmodelled effects."""
+    """Names of the G groups of errors: noise, gauge lengths, kinds of instrument parameters, unmodelled effects."""
     distance_variances: Floats
-    """Variance by each of G groups of errors of a measured distance minus its mean over stations, (2, G, D) [m^2]. The
+    """Variance of a measured distance minus its mean over stations, by each of G groups of errors, (2, G, D) [m^2]. The
     first index is 0 before and 1 after calibration; D counts the combinations of a station and a pair of targets."""
     coordinate_covariances: Floats
-    """Covariance by each of G groups of errors of the difference between the positions of a target from two stations,
-    (2, G, C, 3, 3) [m^2]. The first index is 0 before and 1 after calibration; C is the number of combinations of a
-    pair of stations and a target."""
+    """Covariance of the difference between the positions of a target from two stations, by each of G groups of errors,
+    (2, G, C, 3, 3) [m^2]. The first index is 0 before and 1 after calibration; C counts the combinations of a pair of
+    stations and a target."""
 
     @classmethod
     def from_expected_precision(
@@ -294,7 +294,7 @@ def expected_vector_length(variances: Floats) -> Floats:
 def _unit_error_displacements(
     expected_precision: ExpectedPrecision, unmodelled_effects: Sequence[Effect]
 ) -> tuple[tuple[Floats, Floats], list[str]]:
-    """Displacements of measured points by an error of one sigma of each of e error sources, and group of each source.
+    """Displacements of measured points by a one-sigma error of each of e error sources, and the group of each source.
 
     The displacements are two matrices (3 S T, e) [m], before and after calibration, for T targets measured from each of
     S stations. The groups are e names: noise, gauge lengths, kinds of parameters, unmodelled effects.

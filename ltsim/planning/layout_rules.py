@@ -25,7 +25,8 @@ from ltsim.scene.visibility import narrowest_cone_axes
 MIN_VISIBLE_TARGETS_PER_STATION = 3
 """Smallest number of targets that a station must see; fewer do not determine its pose."""
 MAX_COINCIDENCE_DISTANCE = 1e-3
-"""Distance [m] below which a station and a target count as being at the same point, which a plan does not permit."""
+"""Limit of the distance [m] of a station and a target. Below it they count as the same point, which a plan does not
+permit."""
 STATION_SPACING_TOLERANCE = 1e-9
 """Amount [m] by which the distance of two stations may fall below the smallest permitted distance, because of
 rounding."""
@@ -302,7 +303,7 @@ class NestAimRule(LayoutRule):
     """Largest horizontal distance [m] of an instrument from its planned position."""
 
     def violations(self, position: Floats, is_visible: Bools) -> Bools:
-        """Flags (B, k): True for a fixed nest that cannot be aimed at all stations."""
+        """Flags (B, k): True where a fixed nest cannot be aimed at all stations, for B layouts and k nests."""
         back = position[:, None] - self.target_points[:, None, :]
         range_ = np.linalg.norm(back, axis=3, keepdims=True)
         cosine = np.einsum("btsk,btk->bts", back / range_, narrowest_cone_axes(back / range_, MAX_NEST_AIMING_STEPS))

@@ -240,7 +240,7 @@ class LayoutScorer:
         n_parameters = len(self.parameter_scales) - self._n_nuisances
         information, rms = np.full((len(schur), n_parameters, n_parameters), np.nan), np.full(len(schur), np.nan)
         has_poses = blocks.has_determined_pose[setup_indices].all(axis=1) & np.isfinite(schur[:, 0, 0])
-        information[has_poses] = self.marginal_information(schur[has_poses], squared_norms[has_poses])
+        information[has_poses] = self.information_on_parameters(schur[has_poses], squared_norms[has_poses])
         if with_target_errors:
             determined = np.isfinite(information).all(axis=(1, 2))
             rms[determined] = self.weighted_target_rms(
@@ -248,7 +248,7 @@ class LayoutScorer:
             )
         return LayoutPrecision(information, rms)
 
-    def marginal_information(self, schur: Floats, squared_norms: Floats) -> Floats:
+    def information_on_parameters(self, schur: Floats, squared_norms: Floats) -> Floats:
         """Information (B, P, P) on P parameters of instrument and effects in B layouts; NaN for undetermined unknowns.
 
         `schur` (B, K, K) are normal matrices of K unknowns; all unknowns except the parameters are eliminated from

@@ -37,8 +37,8 @@ plan file that describes a hall."""
 MAX_PLAN_POINTS = 2_000
 """Largest number of points in the list of a plan. The search needs 130 kB of memory for each point."""
 MAX_SAME_POINT_DISTANCE_MM = 0.1
-"""Largest distance [mm] between a point of a list and the target of the same name in the scenario at which both count
-as the same point. A larger distance is an error."""
+"""Limit of the distance [mm] between a point of a list and the target of the same name in the scenario. A larger
+distance is an error."""
 DEFAULT_STATION_COUNT = 4
 """Number of initial stations in a hall if the plan file gives no number."""
 MAX_GRID_SETUPS = 200_000
@@ -100,7 +100,7 @@ def _similar_names_clause(name: str, candidates: Sequence[str]) -> str:
 
 
 def _completed_fields(plan_file: PlanFile, path: Path) -> dict[str, Any]:
-    """New values of fields of a plan file, by name: the points of its list, and defaults that depend on other keys.
+    """New values of fields of a plan file, by name: points read from the list, and defaults that depend on other keys.
 
     `path` is the path of the plan file. Raises InputError for too many points.
     """

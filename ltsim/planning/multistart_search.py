@@ -30,7 +30,7 @@ reflectors are movable."""
 MIN_REPORT_INTERVAL = 5.0
 """Shortest time [s] between two reports of the best layout so far."""
 MIN_REPORTED_GAIN = 0.01
-"""Smallest relative improvement of the objective since the last report at which a new best layout is reported."""
+"""Smallest relative improvement of the objective since the last report that is reported as a new best layout."""
 
 ObjectiveAndSurvey = tuple[float, PlannedSurvey]
 """Value of the objective function of a layout (smaller is better), and survey with this layout."""

@@ -30,8 +30,8 @@ INSTRUMENT_QUALITY_NAME = "instrument"
 TARGETS_QUALITY_NAME = "targets"
 """Name of the quality of a layout that is the weighted root mean square point error of the targets."""
 DIAGNOSIS_QUALITY_NAME = "diagnosis"
-"""Name of the quality of a layout that is the geometric mean of the minimal detectable sizes of effects, each divided
-by a plausible size."""
+"""Name of a quality of a layout: geometric mean, over effects, of the minimal detectable size divided by a plausible
+size."""
 QUALITY_PHRASES = {
     INSTRUMENT_QUALITY_NAME: "the precision of the instrument parameters",
     TARGETS_QUALITY_NAME: "the precision of the targets",
@@ -39,8 +39,8 @@ QUALITY_PHRASES = {
 }
 """Noun phrase for each quality of a layout in sentences for users, by the name of the quality."""
 MIN_SWEEP_IMPROVEMENT = 1e-4
-"""Smallest relative improvement of the objective by a sweep (one attempt to replace each station) after which the
-search makes another sweep."""
+"""Limit of the relative improvement of the objective by a sweep (one attempt to replace each station). After a larger
+improvement the search makes another sweep."""
 
 
 def d_criterion(covariance: Floats) -> Floats:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 QualityValues = dict[str, OptionalFloat]
 """Value of each quality of a layout by name (`instrument`, `targets`, `diagnosis`, see `LayoutObjective`); null if
 undetermined."""
-XyzSizesUm = tuple[OptionalFloat, OptionalFloat, OptionalFloat] | tuple[()]
+SizesAlongXyzUm = tuple[OptionalFloat, OptionalFloat, OptionalFloat] | tuple[()]
 """Sizes along x, y and z [um], or an empty tuple if they are unknown."""
 
 
@@ -36,7 +36,7 @@ class PlannedStationEntry(Entry):
     """Position of the centre of the tracker head [mm], in the hall frame."""
     yaw_deg: Finite
     """Direction of azimuth zero [deg], counter-clockwise (seen from above) from the x axis of the hall."""
-    sigma_position_um: XyzSizesUm = ()
+    sigma_position_um: SizesAlongXyzUm = ()
     """Expected standard deviations of the position along x, y and z [um]."""
     visible_reflectors: int = 0
     """Number of reflectors that the station sees."""
@@ -76,7 +76,7 @@ class PlannedReflectorEntry(Entry):
     """Position of the centre of the reflector [mm], in the hall frame."""
     sigma_um: OptionalFloat
     """Expected point error of the reflector [um]: square root of the trace of its covariance."""
-    expanded_uncertainty_um: XyzSizesUm = Field(default=(), alias="U_um")
+    expanded_uncertainty_um: SizesAlongXyzUm = Field(default=(), alias="U_um")
     """Expanded uncertainty (k = 2) of the coordinates x, y and z [um], with the mean of all points as datum."""
     stations_seeing: int = 0
     """Number of stations that see the reflector."""

@@ -44,9 +44,9 @@ SEARCH_PROGRESS_FRACTION = 0.8
 MIN_NETWORK_STATIONS = 2
 """Smallest number of stations of a network."""
 MAX_ERROR_RATIO_OF_USEFUL_STATION = 0.95
-"""Largest ratio at which an additional station counts as useful: largest error with the station divided by largest
-error without it (point errors divided by tolerances). The search ends if the last two stations together have a ratio
-above the square of this value."""
+"""Limit of the largest error with an additional station, divided by that without it (point errors divided by
+tolerances). A station with a smaller ratio counts as useful. The search ends if the last two stations together have a
+ratio above the square of the limit."""
 UNDETERMINED_LAYOUT_MESSAGE = (
     "no layout of the search determines all poses and points; let stations share more points "
     "(stations.min_stations_per_target = 2), or increase the number of stations or search.starts"
@@ -217,7 +217,7 @@ class _PlanSearch:
         return min(paid, key=lambda o: o.objective_value)
 
     def best_with_fewest_stations(self) -> TradeoffPoint:
-        """Layout with the fewest stations that meets the tolerances, by the measuring procedure of shortest duration.
+        """Layout with the fewest stations that meets the tolerances; of several such layouts, the fastest to measure.
 
         If no layout meets the tolerances, the result is the layout with the smallest ratio of point error to tolerance.
         """
@@ -273,7 +273,7 @@ class _PlanSearch:
     def _layout_with_smallest_tolerance_ratio(
         self, layouts: list[tuple[float, int, PlannedSurvey]], tolerances: PointTolerances
     ) -> list[tuple[float, int, PlannedSurvey]]:
-        """List with the one of the `layouts` whose largest ratio of point error to tolerance is smallest.
+        """List with the layout whose largest ratio of point error to tolerance is the smallest of all `layouts`.
 
         Each entry of `layouts` is the objective, the number of the initial layout, and the survey.
         """

@@ -39,11 +39,11 @@ class MeasurementProposalEntry(Entry):
     `NextMeasurement.compared_effects`, minus chi-square if it contains the first effect, by name of the further
     effect."""
     separated_effects: tuple[str, ...] = ()
-    """Further effects of `NextMeasurement.compared_effects` that the measurement would distinguish from the first one.
-    """
+    """Further effects of `NextMeasurement.compared_effects` that the measurement would distinguish from the first
+    effect."""
     separates_all_effects: bool = False
     """True if the measurement would distinguish all further effects of `NextMeasurement.compared_effects` from the
-    first one."""
+    first effect."""
     position_mm: Vector | None = None
     """Position of the tracker head [mm] at a new set-up, in the workshop frame; null for other measurements."""
     yaw_deg: OptionalFloat = None

@@ -44,13 +44,13 @@ def reason_sentences(plan: PlannedNetwork) -> list[str]:
     sentences = [
         *_result_sentences(plan),
         *_tolerance_sentences(plan),
-        *_reference_sentences(plan),
+        *_reference_layout_sentences(plan),
         *_station_contribution_sentences(plan),
     ]
     return [
         *sentences,
-        *_air_sentences(plan),
-        *_limit_sentences(plan),
+        *_air_error_sentences(plan),
+        *_limiting_rule_sentences(plan),
         *_tradeoff_sentences(plan),
         *_undetermined_sentences(plan),
         *_search_sentences(plan),
@@ -157,7 +157,7 @@ def _station_count_clauses(results: Sequence[StationCountResult], min_stations: 
     return [counts_clause(text, list(same)) for text, same in groupby(results, key=result_text)]
 
 
-def _air_sentences(plan: PlannedNetwork) -> list[str]:
+def _air_error_sentences(plan: PlannedNetwork) -> list[str]:
     """Sentence on the uncertainty of the air that the point errors include, in a list; empty if it is neglected."""
     adjustment = plan.layout.expected_precision.adjustment
     air = relevant_air_uncertainty(adjustment)
@@ -167,7 +167,7 @@ def _air_sentences(plan: PlannedNetwork) -> list[str]:
     return [f"All point errors include the {words}; change these values in the table [air] of the plan."]
 
 
-def _reference_sentences(plan: PlannedNetwork) -> list[str]:
+def _reference_layout_sentences(plan: PlannedNetwork) -> list[str]:
     """Sentences that compare the planned layout with the layout in the scenario."""
     reference, chosen = plan.scenario_layout_evaluation, plan.layout
     if plan.plan_file.workshop is not None:
@@ -190,7 +190,7 @@ def _reference_sentences(plan: PlannedNetwork) -> list[str]:
             f"measured in the same way, {QUALITY_PHRASES[name]} is {max(factor, 1 / factor):.2f} times "
             f"{'better' if factor >= 1 else 'worse'} ({_quality_value_text(name, reference.qualities[name])} there)."
         )
-    sentences += _parameter_sentences(reference, chosen)
+    sentences += _parameter_sigma_sentences(reference, chosen)
     if reference.expected_disagreement is not None and chosen.expected_disagreement is not None:
         a, b = reference.expected_disagreement, chosen.expected_disagreement
         sentences.append(
@@ -207,7 +207,7 @@ def _quality_value_text(name: str, value: float) -> str:
     return f"weighted point error {value / MICROMETRE:.1f} um" if name == TARGETS_QUALITY_NAME else f"{value:.3f}"
 
 
-def _parameter_sentences(reference: LayoutEvaluation, evaluation: LayoutEvaluation) -> list[str]:
+def _parameter_sigma_sentences(reference: LayoutEvaluation, evaluation: LayoutEvaluation) -> list[str]:
     """Sentences on the parameters whose sigma differs most between `evaluation` and the layout in the scenario."""
     entry_pairs = list(
         zip(
@@ -259,7 +259,7 @@ def _station_contribution_sentences(plan: PlannedNetwork) -> list[str]:
     return sentences
 
 
-def _limit_sentences(plan: PlannedNetwork) -> list[str]:
+def _limiting_rule_sentences(plan: PlannedNetwork) -> list[str]:
     """Sentences on rules and circumstances that limit the layout: spacing, edge of the floor, sights, obstacles."""
     survey, site = plan.layout.survey, plan.search_space
     names, sentences = survey.station_names, site.spacing_limit_sentences(survey)
@@ -303,7 +303,7 @@ def fewest_stations_not_worse_than_scenario(plan: PlannedNetwork) -> TradeoffPoi
     """
     if plan.scenario_layout_evaluation is None or not plan.scenario_layout_evaluation.qualities:
         return None
-    goal = _reference_objective(plan)
+    goal = _objective_of_scenario_layout(plan)
     equal_options = [o for o in plan.tradeoff_points if _has_same_procedure(plan, o) and o.objective_value <= goal]
     return min(equal_options, key=lambda o: (len(o.survey.station_positions), o.objective_value), default=None)
 
@@ -321,7 +321,7 @@ def _tradeoff_sentences(plan: PlannedNetwork) -> list[str]:
             f"{len(few.survey.station_positions)} stations suffice to match the "
             f"{len(reference.survey.station_positions)} of the "
             f"scenario's layout ({_quality_value_text(goal, few.objective_value)} against "
-            f"{_quality_value_text(goal, _reference_objective(plan))}) in {few.hours:.1f} h."
+            f"{_quality_value_text(goal, _objective_of_scenario_layout(plan))}) in {few.hours:.1f} h."
         )
     n_stations = len(plan.layout.survey.station_positions)
     now = next(
@@ -350,7 +350,7 @@ def _tradeoff_sentences(plan: PlannedNetwork) -> list[str]:
     return sentences
 
 
-def _reference_objective(plan: PlannedNetwork) -> float:
+def _objective_of_scenario_layout(plan: PlannedNetwork) -> float:
     """Value of the plan's objective for the layout in the scenario; infinite without an evaluation of that layout."""
     if plan.scenario_layout_evaluation is None:
         return float("inf")

@@ -63,10 +63,9 @@ class ReflectorChangeEntry(Entry):
 
 
 MIN_REPORTED_IMPROVEMENT = 0.002
-"""Smallest relative improvement of the objective at which a move or an addition is reported as useful."""
+"""Smallest relative improvement of the objective by a move or an addition that is reported as useful."""
 MAX_NEGLIGIBLE_OBJECTIVE_CHANGE = 5e-4
-"""Largest relative change of the objective at which a sentence says that a change of a reflector makes no difference.
-"""
+"""Largest relative change of the objective by a change of a reflector that is said to make no difference."""
 MAX_REPORTED_CHANGES_PER_KIND = 3
 """Largest number of reported changes of each kind (moves, additions, removals)."""
 
@@ -75,9 +74,9 @@ ChangeKind = Literal["move", "add", "remove"]
 CHANGE_KINDS: tuple[ChangeKind, ...] = get_args(ChangeKind)
 """Kinds of changes of a reflector: move, add, remove."""
 ReflectorChangeResult = tuple[float, int | None, int | None, Floats]
-"""Result of a change of a reflector, four values: ratio of the objective after the change to that before; index of the
-removed or moved reflector (None for an addition); index of its new position (None for a removal); normal matrix (K, K)
-after the change, for K unknowns without targets."""
+"""Result of a change of a reflector, four values: objective after the change divided by the objective before; index of
+the removed or moved reflector (None for an addition); index of its new position (None for a removal); normal matrix (K,
+K) after the change, for K unknowns without targets."""
 
 
 @dataclass(frozen=True)
@@ -283,7 +282,7 @@ def _change_sentence(change: ReflectorChangeEntry) -> str:
 
 
 def _best_change_per_place(change_results: list[ReflectorChangeResult]) -> list[ReflectorChangeResult]:
-    """Best change for each new position of a reflector, and all removals; `change_results` has the best ones first."""
+    """Best change for each new position of a reflector, and all removals, from results with the best change first."""
     distinct, places = [], set()
     for change in change_results:
         if change[2] is None or change[2] not in places:

@@ -28,13 +28,13 @@ twice."""
 
 @dataclass(frozen=True)
 class NormalMatrixTerms:
-    """Terms of the normal matrix of the K unknowns that remain after elimination of targets: poses, gauge, parameters.
+    """Terms of the normal matrix of K unknowns (poses, gauge, parameters) after elimination of the targets.
 
     One term belongs to the fixed targets, and one to a reflector at each of P candidate places.
     """
 
     scorer: LayoutScorer
-    """Evaluator of layouts whose targets are the fixed ones, followed by reflectors at all candidate positions
+    """Evaluator of layouts whose targets are the fixed targets, followed by reflectors at all candidate positions
     (places)."""
     fixed_normal_matrix: Floats
     """Normal matrix (K, K) of K unknowns by the fixed targets, reference lengths, priors and datum."""
@@ -48,8 +48,8 @@ class NormalMatrixTerms:
     """Inverses (E, 3, 3) of the blocks of the E eliminated targets: fixed targets without those of the gauge, followed
     by reflectors at all places (`LayoutScorer.eliminate_targets`)."""
     elimination_coefficients: Floats
-    """Products (E, 3, K) of the inverse block of each of E eliminated targets and its coupling block with K other
-    unknowns."""
+    """Products (E, 3, K) of two blocks of the normal matrix for each of E eliminated targets: inverse of the target's
+    block, and the block that couples the target with K other unknowns."""
 
     @classmethod
     def from_places(
@@ -94,7 +94,7 @@ class NormalMatrixTerms:
 
         `normal_matrices` (B, K, K) are those of the layouts, for K unknowns.
         """
-        return self.scorer.marginal_information(
+        return self.scorer.information_on_parameters(
             normal_matrices, np.broadcast_to(self.squared_column_norms, normal_matrices.shape[:2])
         )
 
@@ -113,7 +113,7 @@ class NormalMatrixTerms:
         )
 
     def point_error_by_name(self, normal_matrix: Floats, place_indices: Ints) -> dict[str, float]:
-        """Point error [m] of each fixed target, and of reflectors at the places with these indices, by name.
+        """Point error [m] of each fixed target, and of the reflectors at the places `place_indices`, by name.
 
         `normal_matrix` (K, K) is that of the layout, for K unknowns.
         """
@@ -179,7 +179,7 @@ class ReflectorPlaces:
     place_names: tuple[str, ...]
     """Name that a reflector gets at each of the P places."""
     n_present_places: int
-    """Number of places, the first of all, where there is a movable reflector at present."""
+    """Number of places with a movable reflector at present; they are the first in the list of places."""
     is_visible: Bools
     """Flags (S, k + P): True where a station sees a target, for S stations and k fixed targets followed by P places."""
     normal_matrix_terms: NormalMatrixTerms

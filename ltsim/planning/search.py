@@ -33,7 +33,7 @@ REMAINING_PROGRESS_FACTOR = 0.985
 """Factor by which each step of a search reduces the unfinished part of the progress bar; the number of steps is
 unknown."""
 MIN_REFINEMENT_STEP = 0.004
-"""Step [m] of the pattern search off the grid below which the search ends."""
+"""Step [m] of the pattern search off the grid at which the search ends."""
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,7 @@ MAX_REFLECTOR_PLACES = 3_000
 """Largest number of candidate positions (places) of reflectors in a plan. The search holds the distances of all pairs
 (70 MB at this limit), and 7 kB for each place."""
 MAX_TILT_COSINE_DEFICIT = 1e-3
-"""Largest value of 1 - cos(tilt) of an instrument's axis at which a plan treats the station as upright (2.6 deg)."""
+"""Largest value of 1 - cos(tilt) of the axis of an upright station in a plan (2.6 deg)."""
 RANGE_ONLY_OBSERVABLES = ("distance",)
 """Names of the observables of an instrument that measures distances without angles."""
 MIN_STATIONS_FOR_RANGES_ONLY = 3

@@ -39,11 +39,12 @@ from ltsim.scene.floor import KeepOutArea, StandingArea, grid_over_area, height_
 from ltsim.scene.meshes import Obstacles
 from ltsim.scene.visibility import SightLimits, compute_visibility
 
-MAX_RATIO_AT_CLEARANCE = 1.05
-"""Ratio of the distance of a station from a body to the clearance, below which the clearance limits the layout."""
-MAX_RATIO_AT_SPACING = 1.02
-"""Ratio of the distance of two stations to the smallest permitted distance, below which the spacing limits the layout.
-"""
+MAX_DISTANCE_TO_CLEARANCE_RATIO = 1.05
+"""Limit of the distance of a station from a body, divided by the clearance. A station with a smaller ratio is said to
+be limited by the clearance."""
+MAX_DISTANCE_TO_SPACING_RATIO = 1.02
+"""Limit of the distance of two stations, divided by the smallest permitted distance. Stations with a smaller ratio are
+said to be limited by the spacing."""
 
 
 @dataclass(frozen=True)
@@ -197,7 +198,7 @@ class SearchSpace(ValueEquality):
         """Sentence, in a list, on pairs of stations whose distance is hardly larger than permitted; or empty list."""
         too_near, near = (
             [broken.stations for broken in SpacingRule(factor * self.min_station_spacing).broken_rules(survey)]
-            for factor in (1.0, MAX_RATIO_AT_SPACING)
+            for factor in (1.0, MAX_DISTANCE_TO_SPACING_RATIO)
         )
         pairs = ", ".join(" and ".join(pair) for pair in near if pair not in too_near)
         return [f"{pairs} are at the minimum spacing of {self.min_station_spacing:g} m."] if pairs else []
@@ -207,7 +208,7 @@ class SearchSpace(ValueEquality):
         if self.stand_clearance is None:
             return []
         radius, position = self.stand_clearance.radius, survey.station_positions
-        wider = replace(self.stand_clearance, radius=MAX_RATIO_AT_CLEARANCE * radius)
+        wider = replace(self.stand_clearance, radius=MAX_DISTANCE_TO_CLEARANCE_RATIO * radius)
         is_near = self.stand_clearance.has_room(position) & ~wider.has_room(position)
         return [
             f"{survey.station_names[s]} is at the minimum clearance of {radius:g} m from "
@@ -216,11 +217,11 @@ class SearchSpace(ValueEquality):
         ]
 
     def connectivity_scores(self, is_visible: Bools) -> Floats:
-        """Score (B,) of B layouts: number of stations connected to the first one, plus a fraction below 1.
+        """Score (B,) of B layouts: number of stations connected to the first station, plus a fraction.
 
         Two stations are connected if they see at least two common targets, directly or through other stations. The
-        fraction grows with the mean number of common targets; at most three count for each pair of stations.
-        `is_visible` (B, S, T) flags the sights from S stations to T targets.
+        fraction is below 1 and grows with the mean number of common targets; at most three count for each pair of
+        stations. `is_visible` (B, S, T) flags the sights from S stations to T targets.
         """
         shared = np.minimum(
             np.einsum("bst,brt->bsr", is_visible, is_visible, dtype=np.int64), MIN_VISIBLE_TARGETS_PER_STATION

@@ -15,13 +15,13 @@ from ltsim.planning.search_space import SearchSpace
 from ltsim.recordings import Recording
 
 MAX_MEDIAN_POINT_MISFIT = 0.1
-"""Largest median distance [m] between adjusted targets and plan points of the same names at which they count as the
-same points. Reflectors are placed within centimetres of their planned points; in different axes the distance is metres.
-"""
+"""Limit of the median distance [m] between adjusted targets and plan points of the same names. Below it they count as
+the same points: reflectors are placed within centimetres of their planned points, and in different axes the distance is
+metres."""
 MAX_NOMINAL_POSITION_ERROR = 0.5
-"""Largest distance [m] between the nominal position of a station in setup.toml and its adjusted position on the site at
-which the axes count as equal. Nominal positions are accurate to decimetres; in different axes the distance is metres.
-"""
+"""Limit of the distance [m] between the nominal position of a station in setup.toml and its adjusted position on the
+site. Below it the axes count as equal: nominal positions are accurate to decimetres, and in different axes the distance
+is metres."""
 
 
 def with_station_poses_on_site(

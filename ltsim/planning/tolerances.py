@@ -70,8 +70,8 @@ class PointTolerances:
     def from_plan_file(cls, file: PlanFile) -> PointTolerances:
         """Tolerances of the points in a plan file.
 
-        The tolerance of a point is its `tolerance_mm` if given, otherwise the smaller one of the tolerance of its group
-        and that of all points.
+        The tolerance of a point is its `tolerance_mm` if given, otherwise the smaller of two tolerances, that of its
+        group and that of all points.
         """
         limits = {}
         for point in file.listed_points:

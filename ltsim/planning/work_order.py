@@ -19,31 +19,32 @@ from ltsim.planning.planner import PlannedNetwork
 MAX_PLUMB_HEIGHT = 2.2
 """Largest height [m] from which a point is plumbed to the floor; the tape distance to a higher point is straight."""
 MAX_TAPE_DISTANCE = 15.0
-"""Largest distance [m] for a tape or a distance meter; longer ones are used only if there are too few shorter ones."""
+"""Largest distance [m] for a tape or a distance meter; a longer distance is used only if there are too few shorter
+distances."""
 MAX_CONSIDERED_TAPE_MARKS = 16
 """Largest number of marks (end points of tape distances) among which the three marks of a station are selected."""
 MIN_STRENGTH_GAIN_OF_STRAIGHT_DISTANCE = 0.1
-"""Smallest increase of the strength of the intersection of tape distances (`intersection_strength`: their smallest
-change, in metres, if the tripod moves by 1 m) at which a straight distance to a reflector replaces a distance along the
-floor."""
+"""Limit of the increase of the strength of the intersection of tape distances (`intersection_strength`: their smallest
+change, in metres, if the tripod moves by 1 m). If a straight distance to a reflector increases it more, it replaces a
+distance along the floor."""
 TAPE_RESOLUTION = 0.01
 """Resolution [m] with which a distance is read from a tape."""
 MAX_TAPE_POSITION_ERROR = 0.03
 """Largest uncertainty [m] of a tripod position from three distances read to `TAPE_RESOLUTION`. Above it the work order
 asks the user to mark the position in another way."""
 MIN_SECOND_INTERSECTION_MISCLOSURE = 0.1
-"""Smallest difference [m] by which the third tape distance must exclude the second intersection of the first two
-distances. Below it the position is ambiguous."""
+"""Smallest difference [m] between the measured third tape distance and its value at the second intersection of the
+first two distances. If the difference is smaller, the position is ambiguous."""
 MIN_TAPE_DISTANCE = 0.3
-"""Smallest distance [m] from a tripod at which a mark (end point of a tape distance) is used."""
+"""Smallest distance [m] of a mark (end point of a tape distance) from a tripod."""
 TAPE_CLEARANCE_HEIGHT = 0.1
 """Height [m] above the floor at which no obstacle may cross the tape."""
 MIN_STRENGTH_GAIN_PER_METRE = 0.03
 """Smallest increase of the strength of the intersection of three tape distances (`intersection_strength`: their
 smallest change, in metres, if the tripod moves by 1 m) that justifies a longest distance longer by one metre."""
 MAX_REPEAT_DIFFERENCE_SIGMAS = 3.0
-"""Difference between two measurements of a point, in standard deviations, above which the tripod or the point has
-moved."""
+"""Limit of the difference between two measurements of a point, in standard deviations. If it is exceeded, the tripod or
+the point has moved."""
 N_REPEATED_POINTS_PER_STATION = 3
 """Number of points that are measured again at the end of each station, to detect a moved tripod."""
 
@@ -232,7 +233,9 @@ def tape_deficiency_sentence(tape_distances: Sequence[TapeDistance], place: Floa
     ):
         return ""
     position = f"x {mirror[0]:.2f}, y {mirror[1]:.2f} m"
-    return f"The tape distances also fit a wrong position, {position}: check the side of the marks."
+    return (
+        f"The tape distances also fit a wrong position, {position}: check on which side of the marks the tripod stands."
+    )
 
 
 def _zero_direction_text(plan: PlannedNetwork, place: Floats, yaw: float, is_visible: Bools) -> str:

@@ -13,12 +13,13 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.geometry.polar import wrap_angle
 
 MIN_DETECTED_CIRCLE_ROTATION = 0.02
-"""Common rotation [rad] of all directions above which the user has rotated the horizontal circle; a disturbed tripod
-rotates by less."""
+"""Limit of the common rotation [rad] of all directions. If it is exceeded, the user has rotated the horizontal circle;
+a disturbed tripod rotates by less."""
 MAX_REPEATED_DIRECTION_DIFFERENCE = 1e-3
-"""Difference [rad] below which two directions to one target count as equal; also used for two elevations."""
+"""Largest difference [rad] between two directions to one target that count as equal; also used for two elevations."""
 MAX_REPEATED_DISTANCE_DIFFERENCE_M = 0.02
-"""Difference [m] of two distances to one target above which the target has moved between the two pointings."""
+"""Limit of the difference [m] of two distances to one target. If it is exceeded, the target has moved between the two
+pointings."""
 MIN_TARGETS_SHOWING_CIRCLE_ROTATION = 3
 """Number of repeatedly measured targets whose directions must change by the same angle to show that the circle was
 rotated."""

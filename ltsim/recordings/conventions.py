@@ -43,8 +43,9 @@ POSSIBLE_ANGLE_UNITS: tuple[AngleUnit, ...] = ("deg", "gon", "rad")
 """Units that the angles of a file may have; the data or the user's hint decide which."""
 VERTICAL_ANGLE_KINDS: tuple[VerticalKind, ...] = ("zenith", "elevation")
 MIN_DECISIVE_CONVENTION_RATIO = 10.0
-"""Smallest ratio with which the data decide between two conventions (such as gon or degrees): of the misfits
-(second-best to best), or of the numbers of agreeing targets (best to second-best)."""
+"""Limit of the ratio with which the data decide between two conventions (such as gon or degrees): of the misfits
+(second-best to best), or of the numbers of agreeing targets (best to second-best). Below the limit nothing is decided.
+"""
 MAX_RELATIVE_MIRROR_MISFIT = 1e-3
 """Limit for agreement of mirrored points with reference points: median distance, divided by the size of the network."""
 MAX_ROWS_IN_NOTE = 3

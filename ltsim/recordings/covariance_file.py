@@ -20,12 +20,12 @@ from ltsim.core.notation import unescape_cell_text
 from ltsim.recordings.files import MAX_NUMBER_TEXT_LENGTH, SourceLocation, read_text, safe_excerpt, with_unix_line_ends
 
 MAX_COVARIANCE_ASYMMETRY = 1e-6
-"""Largest difference of entries ij and ji, relative to the largest variance, at which a covariance is accepted."""
+"""Largest difference of entries ij and ji of an accepted covariance matrix, relative to the largest variance."""
 MATRIX_FIELD_SEPARATORS = ",;\t"
 """Possible separators of the numbers in a row of the file; the most frequent one in the first row is used."""
 MAX_NUMBER_MAGNITUDE = 1e12
-"""Magnitude up to which all numbers of a row are converted together; a row with a larger one is checked cell by cell.
-"""
+"""Largest magnitude of numbers in a row that are converted together; a row with a larger number is checked cell by
+cell."""
 _NUMBER_CHARACTERS_PATTERN = re.compile("[0-9.+eE -]*", re.ASCII)
 """Pattern of the characters of decimal numbers that blanks separate."""
 

@@ -6,9 +6,8 @@ from ltsim.core.units import EARTH_RADIUS, MILLIMETRE
 from ltsim.recordings.recording import Recording
 
 MIN_CURVATURE_ANGLE_SIGMAS = 0.1
-"""Limit above which the adjustment models the curvature of the earth: angle between a level surface and the horizontal
-plane over the longest line of sight, divided by the standard deviation of an elevation.
-"""
+"""Limit of the angle between a level surface and the horizontal plane over the longest line of sight, divided by the
+standard deviation of an elevation. Above it, the adjustment models the curvature of the earth."""
 
 DEFAULT_REFRACTION_AND_SIGMA = 0.13, 0.1
 """Coefficient of refraction near the ground (radius of the earth divided by the radius of the ray) and its standard

@@ -52,9 +52,8 @@ list of points. The number must also be at least the number of different names."
 TRIAL_STATION_NAME = "S1"
 """Station name for a test whether a list of coordinates can be read as the positions that one station measured."""
 MAX_REPEATED_POINT_DISTANCE_M = 1e-3
-"""Distance [m] between rows with one name below which these rows are repeated measurements of one point; rows with a
-larger distance contradict each other.
-"""
+"""Largest distance [m] between repeated measurements of one point, given as rows with one name; rows with a larger
+distance contradict each other."""
 NATIVE_FORMAT_DESCRIPTION = "folder with observations.csv and setup.toml"
 POLAR_TEXT_FORMAT_DESCRIPTION = "plain text: station, target, azimuth, zenith or elevation, distance"
 POINT_LIST_FORMAT_DESCRIPTION = "names and coordinates, which are not a recording"

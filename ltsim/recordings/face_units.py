@@ -24,20 +24,17 @@ from ltsim.recordings.transcription_errors import (
 )
 
 MIN_TWO_FACE_PAIRS = 3
-"""Smallest number of targets, measured by a station in both faces, with which the unit of a face is tested. With two
-targets, one gross error in each would be enough to make a wrong unit fit.
-"""
+"""Smallest number of targets for a test of the unit of a face; the station measured them in both faces. With two
+targets, one gross error in each would be enough to make a wrong unit fit."""
 MAX_RATIO_OF_CONVERTED_DISAGREEMENT = (
     MAX_RELATIVE_DISAGREEMENT_OF_CORRECT_LENGTHS / MIN_RELATIVE_DISAGREEMENT_OF_WRONG_LENGTHS
 )
-"""Largest ratio at which a conversion explains that both faces disagree: disagreement after the conversion, divided by
-disagreement before it.
-"""
+"""Limit of the disagreement of both faces after a conversion of units, divided by the disagreement before it. If the
+ratio is smaller, the conversion explains the disagreement."""
 FULL_TURN = 2.0 * np.pi
 DISAGREEMENT_ROUNDING = 1e-9
-"""Difference below which two relative disagreements of the faces count as equal; rounding errors of double precision
-are smaller.
-"""
+"""Largest difference between two relative disagreements of the faces that count as equal; rounding errors of double
+precision are smaller."""
 ReadingsWithoutError = tuple[WrongColumnConversion, int, Floats]
 """Transcription error (such as a wrong unit), face (1 or 2) that has the error, and readings (n, 3) [m, rad, rad] of n
 pointings corrected for it.
@@ -114,7 +111,7 @@ def face_unit_errors(recording: Recording) -> list[FaceUnitError]:
 def _best_face_agreement(
     recording: Recording, candidates: Sequence[ReadingsWithoutError], disagreements: Sequence[float]
 ) -> ReadingsWithoutError:
-    """Candidate with the smallest disagreement of the faces; among equal ones, of the lengths from several stations.
+    """Candidate with the smallest disagreement of the faces; if equal, of the lengths from several stations.
 
     Distances of face 1 in metres and of face 2 in micrometres have the same disagreement, for example.
     """

@@ -74,7 +74,7 @@ MIN_CORRELATION_EIGENVALUE = 1e-9
 """Smallest permitted eigenvalue of the correlation matrix of a declared covariance. Below this limit the covariance
 counts as not positive definite."""
 MIN_VECTOR_LENGTH = 1e-6
-"""Length, in the unit of the vector, below which a vector has no direction and is refused."""
+"""Smallest length of an accepted vector, in its unit; a shorter vector has no direction."""
 Finite = Annotated[float, Field(ge=-1e11, le=1e11, allow_inf_nan=False)]
 """Finite number of at most 1e11 in magnitude."""
 NonNegative = Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
@@ -97,8 +97,8 @@ SingleLine = Annotated[str, Field(max_length=200), AfterValidator(_require_singl
 Date = Annotated[str, AfterValidator(_require_calendar_date)]
 """Calendar date in ISO format, such as 2026-05-31."""
 MIN_SIGMA = 1e-6
-"""Smallest permitted standard deviation [mm, arcsec or ppm]; a smaller one would make the normal equations inaccurate.
-"""
+"""Smallest permitted standard deviation [mm, arcsec or ppm]; a smaller value would make the normal equations
+inaccurate."""
 Sigma = Annotated[float, Field(ge=MIN_SIGMA, le=1e9, allow_inf_nan=False)]
 """Standard deviation from `MIN_SIGMA` to 1e9."""
 Vector = tuple[Finite, Finite, Finite]

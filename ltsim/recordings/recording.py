@@ -46,14 +46,15 @@ _DEFAULT_STATION, _DEFAULT_TARGET = Station(), Target()
 MAX_POINTING_TIME_S = 2e18
 """Largest permitted time [s] of a pointing. Unix time in nanoseconds (1.8e18), read as seconds, is below this limit."""
 MIN_COS_ELEVATION_DIVISOR = 1e-6
-"""Smallest value used for the cosine of the elevation, by which the standard deviation across the beam is divided."""
+"""Smallest divisor in place of the cosine of the elevation. The standard deviation across the beam is divided by this
+cosine."""
 MIN_COS_ELEVATION_FOR_ANGLES = 1e-4
-"""Cosine of the elevation below which the adjustment does not use the angles of a pointing (21 arcsec from the vertical
-axis).
+"""Smallest cosine of the elevation of a pointing whose angles the adjustment uses (21 arcsec from the vertical axis).
+Nearer to the axis, an error of 1 arcsec across the beam changes the azimuth by 2.8 deg, and the elevation is not
+differentiable, so that linearised equations are not valid.
 
 There an error of 1 arcsec across the beam changes the azimuth by 2.8 deg, and the elevation is not differentiable, so
-that linearised equations are not valid.
-"""
+that linearised equations are not valid."""
 OCCUPATION_COLUMNS = ("instrument_setup", "target_setup")
 """Columns with the name of the occupation (time on a survey mark) of the instrument, and of the reflector, in each
 pointing."""

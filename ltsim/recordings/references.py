@@ -20,11 +20,10 @@ EXPANSION_ERROR_PREFIX = "expansion of "
 SCALE_ERROR_NAME = "scale of all lengths"
 """Name of the scale error that all reference lengths share."""
 MIN_UNKNOWN_SCALE_SIGMA_PPM = 1000.0
-"""Declared standard deviation [ppm] of the common scale of all reference lengths, above which the lengths determine
-their ratios only, not the scale.
+"""Limit of the declared standard deviation [ppm] of the common scale of all reference lengths. Above it, the lengths
+determine their ratios only, not the scale. It corresponds to a change of temperature of 40 K for aluminium.
 
-It corresponds to a change of temperature of 40 K for aluminium.
-"""
+It corresponds to a change of temperature of 40 K for aluminium."""
 
 
 @dataclass(frozen=True)
@@ -151,9 +150,8 @@ def _mean_temperature_of_column(
 
 
 MAX_EXACT_MARK_SIGMA_RATIO = 0.1
-"""Ratio up to which a known vector between two marks treats an unmeasured mark as exact: standard deviation of the
-mark's coordinates, divided by that of the vector.
-"""
+"""Limit of the standard deviation of a mark's coordinates, divided by that of a known vector between two marks. Below
+it, the vector treats the unmeasured mark as exact."""
 
 
 def mark_indices(recording: Recording) -> dict[str, int]:

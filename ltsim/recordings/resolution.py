@@ -33,8 +33,8 @@ MAX_DEVIATION_FROM_STEP_MULTIPLE = 1e-4
 """Largest deviation of a reading from a multiple of a step, divided by the step, that rounding of 15 digits can
 explain."""
 MIN_READINGS_FOR_DISPLAY_STEP = 10
-"""Smallest number of different readings from which a display step is determined; fewer may be multiples of it by
-chance."""
+"""Smallest number of different readings in the determination of a display step; fewer may be multiples of it by chance.
+"""
 
 
 def display_step_of_readings(readings: Floats, steps: Sequence[float]) -> float:

@@ -43,8 +43,7 @@ from ltsim.recordings.files import read_bytes, read_text, safe_excerpt, write_te
 from ltsim.recordings.recording import Recording
 
 DIGEST_ROUNDING_STEP = 1e-6
-"""Step [m, rad] to which readings are rounded for a digest, so that a recording has the same digest after export and
-import."""
+"""Step [m, rad] of rounded readings in a digest, so that a recording has the same digest after export and import."""
 DIGEST_ROUNDING_OFFSET = 1.0 / np.pi
 """Offset, in multiples of `DIGEST_ROUNDING_STEP`, that is added before rounding; with it no decimal reading is halfway
 between two steps."""
@@ -71,7 +70,7 @@ NotNegative = Annotated[Finite, Field(ge=0)]
 Sigma = Annotated[NotNegative | None, BeforeValidator(finite_or_none)]
 """Standard deviation of at least 0; None if unknown."""
 MIN_NONZERO_MAGNITUDE = 1.0 / MAX_RESULT_MAGNITUDE
-"""Magnitude below which a number counts as zero, because the square of its reciprocal would not be finite."""
+"""Largest magnitude that counts as zero, because the square of its reciprocal would not be finite."""
 Positive = Annotated[Finite, Field(gt=0), AfterValidator(_require_not_zero)]
 """Finite number above 0, at least `MIN_NONZERO_MAGNITUDE`."""
 NonZero = Annotated[Finite, AfterValidator(_require_not_zero)]
@@ -297,7 +296,7 @@ def read_json(file: Path, kind: str, *, shares_equal_objects: bool = False) -> d
     object_by_digest: dict[bytes, dict[str, Any]] = {}
 
     def shared_object(value: dict[str, Any]) -> dict[str, Any]:
-        """First object of the file that equals `value`."""
+        """First of all equal objects in the file, which is used in place of `value`."""
         return object_by_digest.setdefault(hashlib.sha256(repr(_comparison_key(value)).encode()).digest(), value)
 
     parse_decimal, parse_integer = (partial(checked_number, number_type=number_type) for number_type in (float, int))

@@ -8,9 +8,11 @@ import numpy as np
 from ltsim.recordings.recording import Recording
 
 MIN_PLAUSIBLE_TARGET_INTERVAL_S = 0.1
-"""Median time [s] from one target to the next below which the user is asked to check the unit of the time column."""
+"""Smallest plausible median time [s] from one target to the next. For a smaller one the user is asked to check the unit
+of the time column."""
 MAX_PLAUSIBLE_TARGET_INTERVAL_S = 7200.0
-"""Median time [s] from one target to the next above which the user is asked to check the unit of the time column."""
+"""Largest plausible median time [s] from one target to the next. For a larger one the user is asked to check the unit
+of the time column."""
 MIN_TARGET_CHANGES_FOR_TIME_CHECK = 8
 """Number of changes from one target to another that a recording needs for the check of its time unit."""
 

@@ -118,21 +118,21 @@ WRONG_FACE_ERRORS = (
 MAX_ANGLE_READ_AS_RADIANS = 2 * np.pi + 0.01
 """Largest angle [rad] in a column that may contain radians: a full circle plus 0.01 for rounding."""
 MIN_LONGEST_DISTANCE_MM = 200.0
-"""Number below which the longest distance of a recording is in metres, because recordings have distances of more than
-200 mm."""
+"""Limit of the longest distance of a recording, as a number. Below it the unit is the metre, because recordings have
+distances of more than 200 mm."""
 MAX_COMPARED_LENGTH_PAIRS = 400
 """Largest number of pairs of stations, and of pairs of targets, whose lengths are compared."""
 MAX_COMPARED_TARGETS = 60
 """Largest number of common targets of two stations that are used to compare lengths."""
 MIN_RELATIVE_DISAGREEMENT_OF_WRONG_LENGTHS = 2e-3
-"""Median relative difference between the lengths that two stations measure between common targets, above which a reader
-searches for a transcription error."""
+"""Limit of the median relative difference between the lengths that two stations measure between common targets. If it
+is exceeded, a reader searches for a transcription error."""
 MAX_RELATIVE_DISAGREEMENT_OF_CORRECT_LENGTHS = 2e-4
-"""Median relative difference between the lengths that two stations measure between common targets, below which the
-lengths agree. A transcription error is the cause if its correction gives such a difference."""
+"""Limit of the median relative difference between the lengths that two stations measure between common targets. Below
+it the lengths agree; a correction of a transcription error must lead to such a difference."""
 
 MIN_TARGETS_FOR_MIRROR_TEST = 5
-"""Smallest number of common targets with which two stations are tested as mirror images; fewer may lie in one plane."""
+"""Smallest number of common targets for a test of two stations as mirror images; fewer may lie in one plane."""
 
 
 @dataclass(frozen=True)
@@ -189,7 +189,7 @@ def shared_target_counts(station: Ints, target: Ints, n_stations: int) -> Ints:
 
 
 def most_shared_target_pairs(station: Ints, target: Ints, n_stations: int) -> list[tuple[int, int]]:
-    """Pairs (earlier, later) of station indices: each station with the earlier one that shares most targets.
+    """Pairs (earlier, later) of station indices: each station with the earlier station that shares most targets.
 
     Pairs with fewer than `MIN_TARGETS_FOR_MIRROR_TEST` common targets are omitted, because these may lie in a plane,
     and the mirror image of a plane is equal to it.

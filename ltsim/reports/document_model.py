@@ -33,9 +33,10 @@ Assessment = Literal["good", "caution", "bad", "plain"]
 HallView = Literal["3d", "floor-plan", "none"]
 """View of the hall in a section: interactive (`3d`), from above (`floor-plan`), or `none`."""
 MAX_UNFOLDED_TABLE_ROWS = 30
-"""Number of rows of a table above which the page shows only its title, until the title is clicked."""
+"""Largest number of rows of a table that the page shows; of a longer table it shows only the title, until the title is
+clicked."""
 MAX_PRINTED_TABLE_ROWS = 120
-"""Number of rows (three pages) above which a table is not printed on paper."""
+"""Largest number of rows of a table that is printed on paper (three pages)."""
 MAX_TERMINAL_TABLE_ROWS = 8
 """Largest number of rows that a terminal prints of a table that starts folded on a page (only its title)."""
 MAX_RECOMMENDED_ACTIONS = 3

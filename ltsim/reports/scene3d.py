@@ -25,11 +25,12 @@ MAX_FLOOR_METRE_LINES = 200
 MAX_LISTED_OMITTED_NAMES = 4
 """Largest number of names, omitted for lack of space, that the legend lists."""
 MAX_TARGET_LABELS = 60
-"""Number of targets above which the names of the targets are not drawn."""
+"""Largest number of targets whose names are drawn."""
 MAX_FINE_SPHERES = 150
-"""Number of targets above which their spheres and ellipsoids are drawn with fewer facets."""
+"""Largest number of targets with finely meshed spheres and ellipsoids; for more targets they have fewer facets."""
 MAX_MEDIUM_SPHERES = 600
-"""Number of targets above which their spheres and ellipsoids are drawn with the fewest facets."""
+"""Largest number of targets with moderately meshed spheres and ellipsoids; for more targets they have the fewest
+facets."""
 SIGHT_COLOUR_MAP = style.darkened_colour_map("viridis", 0.95, max_luminance=0.2)
 """Colour map of the values of lines of sight. It has a contrast of at least 3:1 to background, floor and walls, on
 light pages and on dark ones, which invert the lightness. Source of the ratio: WCAG 2.1, success criterion 1.4.11."""

@@ -30,15 +30,16 @@ ALTERNATIVE_SHADOW_CONE_OPENING = 110.0 * DEGREE
 """Alternative opening angle [rad] of the shadow cone below a tracker, in which it sees nothing (Sensors 2021, 21, 7479,
 section 2.3.2)."""
 MAX_LOWEST_HEIGHT_WITH_FLOOR_AT_ZERO = 3.0
-"""Largest height [m] above z = 0 of the lowest target or tracker in a plan at which the floor is drawn at z = 0.
+"""Limit of the height [m] above z = 0 of the lowest target or tracker in a plan. Below it, the floor is drawn at z = 0;
+above it, at the lowest target. The limit is above the height of a tracker on its tripod.
 
 If all targets and trackers are higher, the floor is drawn at the lowest target. The limit is above the height of a
 tracker on its tripod."""
 MIN_WALL_NEST_NORMAL_COMPONENT = 0.25
-"""Component, perpendicular to a wall, of the unit normal of a nest, above which the nest can belong to the wall. The
-normal is then at most 75 degrees from the perpendicular of the wall. The value is a choice for drawing."""
+"""Limit of the component, perpendicular to a wall, of the unit normal of a nest. Above it the nest can belong to the
+wall: the normal is at most 75 degrees from the perpendicular of the wall. The value is a choice for drawing."""
 MAX_WALL_NEST_DEPTH_DIFFERENCE = 0.2
-"""Largest distance [m] of a nest from the rearmost target at which the nest belongs to the wall behind that target."""
+"""Largest distance [m] of a nest on a wall from the rearmost target on this wall."""
 DRAWN_FLOOR_MARGIN = 0.4
 """Margin [m] of the drawn floor around stations and targets."""
 

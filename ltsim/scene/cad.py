@@ -28,15 +28,15 @@ CAD_SUFFIXES = (*FACET_SUFFIXES, *GLTF_SUFFIXES, *EXACT_SURFACE_SUFFIXES)
 UNIT_NAMES = {"mm": "millimetres", "m": "metres", "in": "inches"}
 """Full names of the units of CAD files, for messages."""
 MAX_COORDINATE_SPACING_MM = 1.0
-"""Spacing [mm] of single-precision numbers at the position of a body, above which a CAD file is refused as too coarse.
-Halls are planned to the millimetre, and lines of sight pass bodies at a few centimetres."""
+"""Limit of the spacing [mm] of single-precision numbers at the position of a body. Above it the CAD file is refused as
+too coarse: halls are planned to the millimetre, and lines of sight pass bodies at a few centimetres."""
 SINGLE_PRECISION_SUFFIXES = (".stl", *GLTF_SUFFIXES)
 """Suffixes of files whose coordinates may be single-precision numbers."""
 MIN_BODY_TO_HALL_LENGTH_RATIO = SI_PER_UNIT["mm"] / SI_PER_UNIT["in"]
-"""Length of a body divided by the length of the hall, below which an error asks for the unit of the CAD file. It is 1 /
-25.4: the ratio of a body as long as the hall if a file in inches is read in millimetres."""
+"""Limit of the length of a body, divided by the length of the hall. Below it an error asks for the unit of the CAD
+file. It is 1 / 25.4: the ratio of a body as long as the hall if a file in inches is read in millimetres."""
 MAX_BODY_OVERHANG = 0.05
-"""Largest distance [m] by which a body may extend beyond the walls of the hall or below its floor."""
+"""Largest part [m] of a body that may be beyond the walls of the hall or below its floor."""
 GRID_POINTS_PER_METRE = 1e5
 """Number of grid points per metre to which corners of triangles are rounded (a grid of 10 um). The single precision of
 STL and glTF has no finer resolution over 40 m."""

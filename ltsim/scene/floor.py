@@ -31,7 +31,7 @@ N_DEFAULT_TRIPOD_POSITIONS = 250
 """Approximate number of grid positions for tripods if no grid spacing is given. Positions of stations are refined
 without the grid afterwards."""
 EDGE_TOLERANCE = 1e-9
-"""Distance [m] from the edge of an area up to which a position counts as on the edge."""
+"""Largest distance [m] from the edge of an area of a position that counts as on the edge."""
 
 
 class FloorArea(TomlSection):

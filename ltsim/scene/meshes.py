@@ -29,7 +29,7 @@ INSIDE_TEST_RAY_DIRECTION = np.array([0.01234567, 0.02345678, 1.0]) / np.linalg.
 """Direction of the upward rays that test whether a point is inside a body. It is slightly tilted, so that no ray runs
 along an edge of an upright box."""
 MAX_SMOOTH_SURFACE_ANGLE = np.radians(35.0)
-"""Angle [rad] between the normals of adjacent triangles below which they approximate one curved surface."""
+"""Largest angle [rad] between the normals of adjacent triangles that approximate one curved surface."""
 N_CYLINDER_SIDES = 64
 """Number of flat sides that represent a cylinder; their edges are 0.1 % of the radius outside it."""
 NEST_FOOT_RADIUS = 0.025
@@ -37,14 +37,14 @@ NEST_FOOT_RADIUS = 0.025
 MAX_NEST_UNEVENNESS = 0.002
 """Largest permitted deviation [m] of a surface from a plane under the foot of a nest."""
 MIN_NEST_NORMAL_Z = -0.5
-"""Vertical component of the unit normal of a surface up to which no nest is placed on it, because it faces down (60 deg
-or less from straight down)."""
+"""Limit of the vertical component of the unit normal of a surface. Below it the surface faces down (60 deg or less from
+straight down), and no nest is placed on it."""
 N_RANDOM_POINTS_PER_NEST_AREA = 12.0
 """Number of random points drawn on a body for each area of a nest (smallest spacing of nests, squared). If points are
 closer to each other than this spacing, only the first becomes a nest."""
 MAX_RANDOM_SURFACE_POINTS = 20_000
 """Largest number of random points that are drawn on a body as possible positions of nests."""
-MERGE_DECIMALS = 8
+CORNER_DECIMALS = 8
 """Number of decimals of coordinates [m] to which corners of triangles are rounded to merge equal corners."""
 UNIT_CUBE_TRIANGLES = np.array(list(product((-0.5, 0.5), repeat=3)))[
     [1, 3, 0, 4, 1, 0, 0, 3, 2, 2, 4, 0, 1, 7, 3, 5, 1, 4, 5, 7, 1, 3, 7, 2, 6, 4, 2, 2, 7, 6, 6, 5, 4, 7, 5, 6]
@@ -144,7 +144,7 @@ class Obstacles:
         the adjacent triangle. This is exact for regular triangles on a sphere, and too large for strips on a cylinder.
         Sharp edges do not count.
         """
-        points, place = np.unique(np.round(self.triangles.reshape(-1, 3), MERGE_DECIMALS), axis=0, return_inverse=True)
+        points, place = np.unique(np.round(self.triangles.reshape(-1, 3), CORNER_DECIMALS), axis=0, return_inverse=True)
         faces = place.reshape(-1, 3)
         edges = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
         _, kind, often = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
@@ -389,7 +389,7 @@ def _is_flat_enough(body_surface: Obstacles, places: Floats, surface_normals: Fl
 
 
 def _thinned_positions(places: Floats, min_spacing: float) -> Floats:
-    """Positions among `places` (n, 3) [m] that are at least `min_spacing` [m] from all earlier ones of the result."""
+    """Positions among `places` (n, 3) [m], each at least `min_spacing` [m] from all earlier ones in the result."""
     chosen: list[int] = []
     for i, place in enumerate(places):
         if not chosen or np.linalg.norm(places[chosen] - place, axis=1).min() >= min_spacing:

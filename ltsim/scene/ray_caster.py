@@ -12,8 +12,8 @@ from ltsim.core.arrays import Floats
 EMBREE_SCENE_DIAGONAL = 100.0
 """Diagonal, in units of Embree, to which the box around all triangles is scaled; Embree's tolerances suit this size."""
 MIN_INCIDENCE_COSINE = 1e-12
-"""Cosine between a ray and the normal of a triangle below which the ray is parallel to the triangle and does not hit
-it."""
+"""Limit of the cosine between a ray and the normal of a triangle. Below it the ray is parallel to the triangle and does
+not hit it."""
 
 
 @dataclass(frozen=True)

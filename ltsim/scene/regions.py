@@ -67,8 +67,8 @@ MAX_REGION_LINE_PAIRS = 300_000
 """Largest number of pairs of region and line of sight that are processed at a time; they take some tens of MB of
 memory."""
 MAX_PARALLEL_SINE_SQUARED = 1e-9
-"""Squared sine of the angle between a line of sight and the unbounded axes of a region, below which the line is
-parallel to these axes, so that the weight is constant along it."""
+"""Limit of the squared sine of the angle between a line of sight and the unbounded axes of a region. Below it the line
+is parallel to these axes, so that the weight is constant along it."""
 
 
 @dataclass(frozen=True)

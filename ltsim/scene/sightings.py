@@ -12,7 +12,7 @@ from ltsim.geometry.kinematics import MISALIGNMENT_CHAIN, points_and_error_deriv
 from ltsim.geometry.polar import beam_frame_axes, polar_jacobian, swap_front_and_raw, to_polar, wrap_angle
 
 MIN_AXIS_ROTATION = 1e-4
-"""Rotation [rad] of an axis between two pointings above which the axis has moved."""
+"""Smallest rotation [rad] of an axis between two pointings that counts as a motion of the axis."""
 
 
 @dataclass(frozen=True)

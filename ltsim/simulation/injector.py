@@ -27,8 +27,8 @@ from ltsim.simulation.simulator import with_certified_reference_lengths
 INJECTION_FORMAT = "ltsim-injection/1"
 """Format and version of a file with the true values of injections."""
 NONCENTRALITY_TOLERANCE = 1e-4
-"""Largest relative difference between the noncentrality of a scaled effect and the requested noncentrality, at which
-the scaling ends."""
+"""Largest relative difference between the noncentrality of a scaled effect and the requested noncentrality. When it is
+reached, the scaling ends."""
 MAX_NONCENTRALITY_SCALING_STEPS = 60
 """Largest number of iterations in the scaling of an effect to the requested noncentrality."""
 MAX_CHANGE_SIGMAS_PER_ROOT_NONCENTRALITY = 30.0

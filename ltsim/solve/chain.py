@@ -21,10 +21,10 @@ MAX_SINGLE_BLOCK_COLUMNS = 240
 """Largest number of columns of a matrix that is treated as one block, because an ordering would cost more than it
 saves."""
 MIN_BORDER_TO_MEDIAN_COLUMN_ENTRIES = 2.0
-"""Number of non-zero entries of a column, divided by the median over all columns, above which the column belongs to the
-border of a chain of blocks (columns coupled with many blocks). Columns of stations differ little: in a ring of 210
-set-ups by four trackers they have 0.8 to 1.2 times the median, and the instrument parameters, each of which acts on the
-set-ups of one tracker, 4.7 times."""
+"""Limit of the number of non-zero entries of a column, divided by the median over all columns. Above it, the column
+belongs to the border of a chain of blocks (columns coupled with many blocks). Columns of stations differ little: in a
+ring of 210 set-ups by four trackers they have 0.8 to 1.2 times the median, and the instrument parameters, each of which
+acts on the set-ups of one tracker, 4.7 times."""
 MIN_BLOCK_COLUMNS = 48
 """Smallest number of columns of a block of a chain, in which each block is coupled with its neighbours only. With
 smaller blocks function calls cost more than arithmetic."""
@@ -96,7 +96,7 @@ class BlockChainFactor:
         self._off_diagonal_factors: list[Floats] = []
         next_block_update = np.zeros_like(border_matrix)
         for i in range(len(self._block_limits) - 2):
-            low, high, far = self._block_span(i)
+            low, high, far = self._limits_of_block_and_next(i)
             block_size, columns = high - low, ordered[:, low:high]
             panel = np.concatenate([columns[low:far].toarray(), columns[inner:].toarray()])
             if i:
@@ -133,7 +133,7 @@ class BlockChainFactor:
         x = right_hand_sides[self._column_order]
         border = self._block_limits[-2]
         for i, (root, after) in enumerate(zip(self._diagonal_factors, self._off_diagonal_factors, strict=True)):
-            low, high, far = self._block_span(i)
+            low, high, far = self._limits_of_block_and_next(i)
             x[low:high] = scipy.linalg.solve_triangular(root, x[low:high], lower=True, check_finite=False)
             carried = after @ x[low:high]
             x[high:far] -= carried[: far - high]
@@ -141,7 +141,7 @@ class BlockChainFactor:
         if border < len(x):
             x[border:] = scipy.linalg.cho_solve((self._border_factor, True), x[border:], check_finite=False)
         for i in reversed(range(len(self._diagonal_factors))):
-            low, high, far = self._block_span(i)
+            low, high, far = self._limits_of_block_and_next(i)
             later = np.concatenate([x[high:far], x[border:]])
             mine = x[low:high] - self._off_diagonal_factors[i].T @ later
             x[low:high] = scipy.linalg.solve_triangular(
@@ -179,7 +179,7 @@ class BlockChainFactor:
         later_inverse = inverse_from_cholesky(self._border_factor)
         windows = []
         for i in reversed(range(len(self._diagonal_factors))):
-            low, high, far = self._block_span(i)
+            low, high, far = self._limits_of_block_and_next(i)
             width = high - low
             whole = np.zeros((width + len(later_inverse), width + len(later_inverse)))
             whole[:width, :width] = inverse_from_cholesky(self._diagonal_factors[i])
@@ -197,7 +197,7 @@ class BlockChainFactor:
             later_inverse = whole[np.ix_(stay, stay)]
         return windows[::-1]
 
-    def _block_span(self, block_index: int) -> tuple[int, int, int]:
+    def _limits_of_block_and_next(self, block_index: int) -> tuple[int, int, int]:
         """First position of a block, end of the block, and end of the next block, in the column order of the chain."""
         last_block = len(self._block_limits) - 2
         return (

@@ -98,7 +98,7 @@ class DenseElimination:
 
 
 class SparseElimination:
-    """Factorised normal equations of a large system, with sparse matrices and the parameters of `DenseElimination`.
+    """Factorised normal equations of a large, sparse system; its arguments are those of `DenseElimination`.
 
     The columns are K retained ones, then E blocks of three. The Schur complement is a chain of blocks if possible.
     """

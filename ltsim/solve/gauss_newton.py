@@ -23,24 +23,23 @@ widened priors or selected causes. The alternation ends when the decision does n
 cycle, the last one counts.
 """
 MAX_CONVERGENCE_RATIO = 0.9
-"""Largest ratio of a step (or misclosure) to the previous one at which an iteration counts as converging. A secant step
-uses at most this ratio too, so that it is at most ten times the last change.
-"""
+"""Largest ratio of a step (or misclosure) to the previous one in a converging iteration. A secant step uses at most
+this ratio too, so that it is at most ten times the last change."""
 SQUARED_STEP_TOLERANCE = 1e-8
-"""Squared length of a step, in units of the standard deviations of the unknowns, below which the iteration has
-converged."""
+"""Squared length of a step, in units of the standard deviations of the unknowns, at which the iteration has converged.
+"""
 MAX_SQUARED_STEP_FOR_REUSE = 1.0
-"""Squared length of a step, in units of the standard deviations of the unknowns, below which the next step uses the
-same design matrix, to save its computation."""
+"""Limit of the squared length of a step, in units of the standard deviations of the unknowns. After a shorter step, the
+next step uses the same design matrix, to save its computation."""
 MAX_PREDICTED_STEP_TO_TOLERANCE_RATIO = 1e-4
-"""Ratio of the predicted squared length of the next step to `SQUARED_STEP_TOLERANCE`, below which the next step is not
-computed, because its length is below a millionth of a standard deviation."""
+"""Limit of the predicted squared length of the next step, divided by `SQUARED_STEP_TOLERANCE`. If the ratio is smaller,
+the next step is not computed, because its length is below a millionth of a standard deviation."""
 MAX_NEGLIGIBLE_DAMPING = 1e-5
-"""Largest Levenberg-Marquardt damping at which a short step counts as convergence. Larger damping itself shortens the
-steps."""
+"""Limit of the Levenberg-Marquardt damping for convergence. With a larger damping a short step is no convergence,
+because the damping itself shortens the steps."""
 MAX_SQUARED_ROUNDING_STEP = 1e-4
-"""Squared length, in units of the standard deviations of the unknowns, below which steps that no longer decrease count
-as rounding errors and end the iteration. Such errors occur with large coordinates."""
+"""Limit of the squared length of steps, in units of the standard deviations of the unknowns. Shorter steps that no
+longer decrease count as rounding errors and end the iteration. Such errors occur with large coordinates."""
 
 
 class LeastSquaresProblem(Protocol[UnknownsT]):

@@ -16,19 +16,18 @@ N_REWEIGHTING_PASSES = 12
 """Number of passes of reweighted least squares that compute the start values of a least-absolute-deviations solution.
 The lower bound on residuals decreases from pass to pass, from the median absolute residual to a hundredth of it."""
 CANDIDATE_ROWS_PER_UNKNOWN = 8
-"""Number of rows of the design matrix from which the zero residuals of the first vertex (solution with as many zero
-residuals as unknowns) are selected, divided by the number of unknowns. The rows with the smallest residuals are
-used."""
+"""Number of rows of the design matrix, per unknown, that are candidates for a zero residual in the first vertex
+(solution with as many zero residuals as unknowns). The candidates are the rows with the smallest residuals."""
 RELATIVE_DATA_PERTURBATION = 1e-6
 """Size of a perturbation of the observations, divided by the median absolute residual. Without the perturbation a
 solution may have more zero residuals than there are unknowns, and the descent could then repeat the same solutions
 without end."""
 MAX_DESCENT_EDGES = 2000
 """Largest number of edges of one descent from vertex to vertex (solutions with as many zero residuals as unknowns). An
-edge exchanges one zero residual. After so many edges the solver raises NetworkError."""
+edge exchanges one zero residual. If the number is exceeded, the solver raises NetworkError."""
 ZERO_SLOPE_TOLERANCE = 1e-9
-"""Largest relative slope of the sum of absolute residuals along an edge (exchange of one zero residual) that counts as
-zero (rounding error). If no edge has a larger slope, the solution is optimal."""
+"""Limit of the relative slope of the sum of absolute residuals along an edge (exchange of one zero residual). Slopes
+below it are rounding errors; if no edge has a larger slope, the solution is optimal."""
 
 
 def solve_least_absolute(design: Floats, observations: Floats, *, start_solution: Floats | None = None) -> Floats:

@@ -20,14 +20,14 @@ from ltsim.solve.design import DesignMatrix, inverse_column_norms, to_dense
 from ltsim.solve.elimination import BlockSystem, FactorisedNormals
 
 MAX_DESIGN_ENTRIES_FOR_BASIS = 2_000_000
-"""Largest number of entries of a design matrix for which the projector onto the residual space (complement of the
-column space) uses an orthonormal basis of its columns. Above it the factorised normal equations are faster: a diagnosis
-of 1,200 pointings, whose design matrix has 4 million entries, takes 34 to 53 s and 540 MB with a basis, and 28 to 36 s
-and 330 MB with the normal equations."""
+"""Limit of the number of entries of a design matrix. Below it, the projector onto the residual space (complement of the
+column space) uses an orthonormal basis of the columns. Above it, the factorised normal equations are faster: a
+diagnosis of 1,200 pointings, whose design matrix has 4 million entries, takes 34 to 53 s and 540 MB with a basis, and
+28 to 36 s and 330 MB with the normal equations."""
 MAX_OVERLAP_WITHOUT_REPROJECTION = 1e-10
-"""Largest inner product of a unit vector, projected onto the residual space (complement of the column space), and a
-unit column of the design matrix. The product is zero except for rounding errors; if it is larger, the vector is
-projected again."""
+"""Limit of the inner product of a unit vector, projected onto the residual space (complement of the column space), and
+a unit column of the design matrix. The product is zero except for rounding errors; if it is larger than the limit, the
+vector is projected again."""
 MAX_STORED_BLOCK_ROWS = 150
 """Largest number of rows and columns of a diagonal block of the projection matrix that is computed and stored. A stored
 block saves time if many vectors that are non-zero on the same rows only are projected.
@@ -115,7 +115,7 @@ class FactorResidualProjector:
     _inverse_column_norms: Floats = field(repr=False)
     """Reciprocal norms (u,) of the u columns of `design`."""
     _stored_blocks: dict[bytes, Floats] = field(default_factory=dict, repr=False)
-    """Stored submatrices (r, r) of the projector on r rows, by the bytes of the row indices."""
+    """Stored submatrices (r, r) of the projector for sets of r rows, by the bytes of the row indices."""
 
     @classmethod
     def from_design(cls, design: DesignMatrix, normal_equations: FactorisedNormals) -> FactorResidualProjector:

@@ -17,7 +17,7 @@ from ltsim.core.arrays import Floats, Ints, batches
 def dense_row_groups(
     matrices: Sequence[sp.csr_array], group_boundaries: Sequence[Ints]
 ) -> Iterator[tuple[Ints, list[Floats]]]:
-    """Column indices (k,) of each group of rows, and a dense array (r, k) of the r rows of the group in each matrix.
+    """Column indices (k,) of each group of rows, and dense arrays (r, k) of the r rows of the group, one per matrix.
 
     Group i has the rows from entry i to before entry i + 1 of `group_boundaries`, which are separate (groups + 1,) for
     each of the `matrices` (., u) with u columns. The k columns are those with entries of the group in any matrix.
@@ -46,7 +46,7 @@ def dense_row_groups(
 
 
 def _group_entries(matrix: sp.csr_array, row_limits: Ints) -> tuple[Ints, Ints, Ints, Floats]:
-    """Group (r,) of each of the r rows within the limits of some groups; row, column, value (e,) of the e entries.
+    """Group (r,) of each of r rows of a sparse matrix, and row, column and value (e,) of each of the e entries in them.
 
     Group i has the rows of `matrix` from entry i to before entry i + 1 of `row_limits`. Rows are counted from the first
     of them.

@@ -317,9 +317,9 @@ def test_tapes_determine_a_point_or_report_what_is_missing(hall: Path, monkeypat
         ]
 
     in_line = marks((0.0, 0.0), (3.0, 0.0), (6.0, 0.0))
-    assert (
-        tape_deficiency_sentence(in_line, place)
-        == "The tape distances also fit a wrong position, x 3.00, y -2.00 m: check the side of the marks."
+    assert tape_deficiency_sentence(in_line, place) == (
+        "The tape distances also fit a wrong position, x 3.00, y -2.00 m: "
+        "check on which side of the marks the tripod stands."
     )
     flat = tape_deficiency_sentence(marks((0.0, 2.2), (6.0, 2.2), (7.0, 2.3)), place)
     assert re.fullmatch(

@@ -50,7 +50,7 @@ def test_the_calibrator_of_the_docs_passes_and_fails_with_sigmas_three_times_too
     assert {check.subject for check in wrong.failed_checks() if "coverage" in check.statistic} == {*ERRORS}
     assert {check.subject for check in wrong.failed_checks() if "deviation" in check.statistic} == {*ERRORS}
     np.testing.assert_array_equal(
-        right.arrays._stack_attribute("estimates"), wrong.arrays._stack_attribute("estimates")
+        right.arrays._attribute_by_trial("estimates"), wrong.arrays._attribute_by_trial("estimates")
     )
 
 

@@ -70,7 +70,7 @@ def test_every_built_in_scenario_is_recovered_in_many_trials(name: str) -> None:
     z = trials.z_scores
     assert np.abs(z.mean(axis=0)).max() < 0.15
     deviation, covered = (
-        trials._stack_attribute("prior_independent_z_scores").std(axis=0, ddof=1),
+        trials._attribute_by_trial("prior_independent_z_scores").std(axis=0, ddof=1),
         np.mean(np.abs(z) < COVERED_AT, axis=0),
     )
     tight = stats.norm.isf(0.5 * RECOVERY_FALSE_ALARM_RATE / (2 * z.shape[1]))

@@ -100,7 +100,7 @@ class DisagreementChange(Entry):
 
     @classmethod
     def from_differences(cls, uncalibrated: StationDisagreement, calibrated: StationDisagreement | None = None) -> Self:
-        """Entry from the disagreement of the stations before a calibration and, if available, after it."""
+        """Change of the disagreement by a calibration; only the state before it if `calibrated` is None."""
         if calibrated is None:
             return cls(before=DisagreementEntry.from_differences(uncalibrated))
         percent = None if uncalibrated.mean == 0 else 100.0 * (1.0 - calibrated.mean / uncalibrated.mean)

@@ -14,5 +14,5 @@ def fit_neg_log_p(fit: AddedColumnsFit) -> float:
 
 
 def most_significant(fits: Mapping[StationBump, AddedColumnsFit]) -> StationBump:
-    """Bump (sudden motion of the station) whose fit has the smallest p-value; the first of equal ones."""
+    """Bump (sudden motion of the station) whose fit has the smallest p-value; of equal p-values the first."""
     return [*fits][index_of_largest([fit_neg_log_p(fit) for fit in fits.values()])]

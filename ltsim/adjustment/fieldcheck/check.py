@@ -268,7 +268,7 @@ def _gross_and_motion_tests(
 def _gross_pointings_and_bump(
     setup_model: SetupModel, construction: GeometricErrorModel, test_family: BonferroniFamily
 ) -> tuple[dict[int, float], StationBump | None, SetupModel]:
-    """p-values of gross pointings by index, sudden station motion, and linear model without the gross pointings.
+    """Gross pointings (index and p-value), sudden station motion, and linear model without the gross pointings.
 
     Gross pointings are removed one by one, until a bump (station motion) explains the readings better than the next
     gross error does. The bump is None if it is not significant.

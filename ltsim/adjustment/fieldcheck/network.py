@@ -12,7 +12,7 @@ from ltsim.adjustment.centring import estimate_centring_errors
 from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.fieldcheck.result import BonferroniFamily, CheckItem, two_sided_chi2_p_value
 from ltsim.adjustment.quality import network_warnings, require_usable_adjustment
-from ltsim.adjustment.reference_tests import scaled_reference_tests
+from ltsim.adjustment.reference_tests import reference_tests_with_estimated_noise
 from ltsim.adjustment.reference_values import ReferenceKind
 from ltsim.adjustment.significance import GLOBAL_TEST_LEVEL, MIN_CHECKED_REDUNDANCY, MIN_DOF_FOR_ESTIMATED_NOISE
 from ltsim.adjustment.station_motions import FittedMotion, SuddenMotion, motion_sentences
@@ -264,7 +264,7 @@ def _length_items(fitted: Adjustment, test_family: BonferroniFamily) -> list[Che
     """
     if any(test.kind in ("length", "scale") for test in fitted.rejected_references):
         return []
-    tests = scaled_reference_tests(fitted.problem, fitted.solution, SQRT_MACHINE_EPSILON)
+    tests = reference_tests_with_estimated_noise(fitted.problem, fitted.solution, SQRT_MACHINE_EPSILON)
     lengths = [test for test in tests if test.kind == "length" and test.rank]
     scales = [test for test in tests if test.kind == "scale" and test.rank] or lengths[:1]
     check_items = []

@@ -40,5 +40,5 @@ def recommendations_after_check(check: Check) -> list[str]:
 
 
 def _recommendation_kind(item: CheckItem) -> str:
-    """Kind of a test as it is named in `RECOMMENDATION_BY_FAILED_TESTS`."""
+    """Kind of a failed test, as a key of `RECOMMENDATION_BY_FAILED_TESTS`."""
     return "reference-scale" if item.kind == "reference" and not (item.targets or item.station) else item.kind

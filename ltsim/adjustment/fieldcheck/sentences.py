@@ -16,8 +16,8 @@ ZERO_DRIFT_UNITS_AND_MAX_SIGMAS = (
     ("range", "um", MICROMETRE, 100 * MICROMETRE),
     ("vertical index", "arcsec", ARCSECOND, 100 * ARCSECOND),
 )
-"""Zeros of an instrument that may drift: name, unit, size of the unit [SI], and the largest standard deviation [SI] of
-the drift over the occupation at which a sentence reports the drift."""
+"""Zeros of an instrument that may drift: name, unit, size of the unit [SI], and limit [SI] of the standard deviation of
+the drift over the occupation. A sentence reports the drift if its standard deviation is smaller."""
 TRANSLATION_COMPONENTS = slice(0, 3)
 """Slice with the translation [m] among the six components of a station's motion."""
 TILT_COMPONENTS = slice(3, 5)
@@ -25,7 +25,8 @@ TILT_COMPONENTS = slice(3, 5)
 AZIMUTH_COMPONENT = slice(5, 6)
 """Slice with the rotation about the standing axis [rad] among the six components of a station's motion."""
 MAX_REPORTED_TILT_SIGMA = 100 * MICRORADIAN
-"""Largest standard deviation [rad] of the tilt of a station at which a sentence reports the tilt."""
+"""Limit of the standard deviation [rad] of a station's tilt. A sentence reports the tilt only if its standard deviation
+is smaller."""
 
 
 def estimated_noise_text(recording: Recording, declared_recording: Recording) -> str:

@@ -37,9 +37,9 @@ The singular values are those of the whitened design columns of the instrument e
 standard deviations. Combinations with smaller singular values change the readings by much less than the noise.
 """
 MIN_DETERMINED_FRACTION_OF_PARAMETER = 0.999
-"""Smallest fraction of a determined parameter that lies in the space of determined combinations of parameters (squared
-length of the projection of its unit vector). A parameter with a smaller fraction is undetermined and gets an infinite
-variance."""
+"""Limit for the selection of determined parameters, between 0 (undetermined) and 1 (determined): squared length of the
+unit vector of a parameter after projection onto the determined combinations of parameters. A parameter below the limit
+is undetermined and gets an infinite variance."""
 
 
 @dataclass(frozen=True)
@@ -179,7 +179,7 @@ class SetupModel:
         )
 
     def p_value(self, fit: AddedColumnsFit) -> float:
-        """p-value of a fitted suspected cause: the larger one of the tests with declared and with estimated noise."""
+        """p-value of a fitted suspected cause: the larger one of two tests, with declared and with estimated noise."""
         if not fit.rank or self.dof <= fit.rank:
             return 1.0
         by_declared = float(special.chdtrc(fit.rank, fit.chi2_drop))
@@ -256,7 +256,7 @@ def _initial_state(recording: Recording, row_mask: Bools) -> NetworkState:
 
 
 def _orthonormal_by_target(columns: Floats, target: Ints, n_targets: int) -> tuple[Floats, int]:
-    """Orthonormal bases (n, 3, 3) of the design columns of each target, and the sum of their ranks.
+    """Orthonormal bases (n, 3, 3) of the design columns of each target, and the sum of the ranks of all targets.
 
     The first two axes are the readings of n pointings, the last axis counts the basis vectors of the target of the
     pointing. `columns` (n, 3, 3) are the whitened changes of the readings per unit of the coordinates of the target.

@@ -34,7 +34,7 @@ def log_evidence_gains(chi2_drops: Floats, ranks: Ints) -> Floats:
 
 
 def log_evidence_gains_of_scores(grams: Floats, scores: Floats, min_eigenvalue: float) -> Floats:
-    """Gains (h,) of log evidence, without priors, by h shifts of q components.
+    """Gains (h,) of log evidence by each of h shifts of readings with q components, without prior probabilities.
 
     `grams` (h, q, q) are the Gram matrices of the projected design columns with unit length, `scores` (h, q) their
     products with the whitened residuals. Combinations of components with an eigenvalue below `min_eigenvalue` do not
@@ -48,9 +48,10 @@ def log_evidence_gains_of_scores(grams: Floats, scores: Floats, min_eigenvalue: 
 
 
 def weighted_family_designs(candidates: Sequence[ShiftCandidate], reading_mask: Bools, sigmas: Floats) -> list[Floats]:
-    """Design (n, 3, p) of the family of each candidate, divided by `sigmas` (n, 3), 0 without `reading_mask` (n, 3).
+    """Design (n, 3, p) of each candidate as if it shifted all pointings, divided by `sigmas`; 0 for unused readings.
 
-    Candidates of one family have the same array in the result, which is computed once.
+    `sigmas` (n, 3) are the standard deviations of n pointings, `reading_mask` (n, 3) flags used readings. Candidates of
+    one `ShiftFamily` have the same array in the result, which is computed once.
     """
     families = {id(c.family): c.family for c in candidates}
     weighted = {

@@ -51,8 +51,8 @@ SYSTEMATIC_CAUSE_KINDS = (
 )
 """Kinds of causes that change all readings of an observable, of a set-up, or from one set-up to one target."""
 MAX_MISCLOSURE_OF_USED_REFERENCE = 0.1
-"""Misclosure [m] of a reference value, above which the value is excluded before an adjustment, because the adjustment
-may not converge with it."""
+"""Limit of the misclosure [m] of a reference value. A value with a larger misclosure is excluded before an adjustment,
+because the adjustment may not converge with it."""
 
 
 RANGE_CONSTANT_ERROR_KINDS = ("constant-offset", "scale-error")
@@ -96,7 +96,7 @@ class SelectedHypothesis:
 
     @property
     def is_certain(self) -> bool:
-        """True if the gain of log evidence exceeds `MIN_LOG_EVIDENCE_CERTAIN`, or if a reflector was displaced.
+        """True if the gain of log evidence exceeds `MIN_LOG_EVIDENCE_CERTAIN`, or for a displaced reflector.
 
         Readings to a displaced reflector are wrong in any case: without this hypothesis they are outliers.
         """

@@ -95,7 +95,7 @@ class CauseTest(Entry):
 
 
 MAX_LISTED_OUTLIERS = 20
-"""Largest number of outliers in the list of tests, and of row numbers in one test."""
+"""Largest number of outliers that the list of tests contains, and of row numbers that one test lists."""
 
 
 def cause_tests(selection: CauseSelection) -> tuple[CauseTest, ...]:
@@ -108,7 +108,7 @@ def cause_tests(selection: CauseSelection) -> tuple[CauseTest, ...]:
 
 
 def _test_of_selected_hypothesis(fit: NetworkFit, selected_hypothesis: SelectedHypothesis) -> CauseTest:
-    """Entry of the list of tests for one selected hypothesis of a fit."""
+    """Test of one selected hypothesis of a fit, as an entry for the list of all tests."""
     h = selected_hypothesis.hypothesis
     size_entries: dict[str, Any] = {}
     drop, rank = max(2.0 * min(selected_hypothesis.log_evidence_gain, INFINITE_GAIN_SUBSTITUTE), 0.0), 1

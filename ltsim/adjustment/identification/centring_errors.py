@@ -42,8 +42,8 @@ from ltsim.recordings.recording import Recording
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 MIN_OUTLIER_FRACTION_FOR_LOCAL_FIT = 0.25
-"""Fraction of outliers among the pointings of a set-up or target, above which its centring errors are also estimated
-with the rest of the network unchanged (because the readings with large centring errors are rejected as outliers)."""
+"""Limit of the fraction of outliers among the pointings of a set-up or target. If it is exceeded, centring errors are
+also estimated with the rest of the network unchanged, because large centring errors make readings outliers."""
 CENTRING_SIGMA_GRID = np.geomspace(1e-6, 1.0, 241)
 """Standard deviations [m] of centring errors at which their likelihood is computed, in steps of 6 %. Smaller steps are
 not necessary: an estimate from a hundred components has a relative standard deviation of 7 %."""

@@ -32,11 +32,11 @@ from ltsim.core.rounding import SQRT_MACHINE_EPSILON
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 MAX_RELATIVE_LENGTH_SCATTER = 0.1
-"""Largest scatter of the lengths of displacements, divided by the rms length, at which the lengths count as equal."""
-MAX_COMMON_TO_RMS_LENGTH_RATIO = 3.0
-"""Ratio of the estimated common length of displacements to their rms length, from which on the estimate is rejected.
-Any small displacements lie nearly on the surface of a much larger sphere.
+"""Largest scatter of several lengths that count as equal, divided by their rms. The lengths are those of displacements.
 """
+MAX_COMMON_TO_RMS_LENGTH_RATIO = 3.0
+"""Limit of the estimated common length of displacements, divided by their rms length. A larger estimate is rejected,
+because any small displacements lie nearly on the surface of a much larger sphere."""
 MIN_TARGETS_FOR_COMMON_LENGTH = 10
 """Smallest number of targets for the estimate of a common length of displacements. The estimate has seven unknowns: the
 length and the pose of the set-up.

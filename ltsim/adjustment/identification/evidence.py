@@ -67,8 +67,8 @@ def estimate_noise_factors_of_groups(sum_of_squares: Floats, redundancy: Floats)
 
 
 RELATIVE_NOISE_FACTOR_TOLERANCE = 0.01
-"""Relative change of noise factors below which their iteration ends. The relative standard deviation of a factor is
-larger than this if it is estimated from fewer than 5,000 readings."""
+"""Relative change of noise factors at which their iteration ends. The relative standard deviation of a factor is larger
+than this limit if it is estimated from fewer than 5,000 readings."""
 
 
 def estimate_noise_factors(squared_residuals: Floats, redundancy: Floats, reading_masks: Sequence[Bools]) -> Floats:

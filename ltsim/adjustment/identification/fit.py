@@ -61,9 +61,9 @@ from ltsim.solve.gauss_newton import MAX_DECISION_CHANGES, Solution, solve
 MAX_NOISE_ITERATIONS = 3
 """Largest number of iterations for noise factors, or standard deviations of centring errors, in one network fit."""
 NOISE_FACTOR_TOLERANCE = 0.05
-"""Relative change of noise factors below which their iteration ends; such a change alters the log evidence by 0.1."""
+"""Relative change of noise factors at which their iteration ends; such a change alters the log evidence by 0.1."""
 MIN_NOISE_CHANGE_FOR_OUTLIER_SEARCH = 0.2
-"""Relative change of noise factors above which outliers are searched again."""
+"""Limit of the relative change of noise factors. After a larger change, outliers are searched again."""
 WEAK_SHIFT_PRIOR_FACTOR = 1e6
 """Standard deviation of the prior of a shift of readings, divided by its plausible size: practically no prior."""
 
@@ -164,7 +164,7 @@ class NetworkFit:
 
     @property
     def shifts_with_slices(self) -> Iterator[tuple[CauseHypothesis, ReadingShiftChange, slice]]:
-        """Hypotheses on shifts of readings, each with its model change and the slice of its parameters in the state."""
+        """Hypotheses that shift readings, each with its change of the model and the slice of its parameters."""
         start = 0
         for h in self.hypotheses:
             if isinstance(h.model_change, ReadingShiftChange):
@@ -332,7 +332,7 @@ class NetworkFit:
 
     @cached_property
     def outlier_prediction_error_sigmas(self) -> Floats:
-        """Standard deviations (n, 3) of the prediction errors of rejected readings of n pointings, 1 for other ones.
+        """Standard deviations (n, 3) of the prediction errors of rejected readings of n pointings; 1 for used readings.
 
         The unit is the declared standard deviation of the reading.
         """

@@ -25,9 +25,8 @@ from ltsim.scene.sightings import Sightings
 from ltsim.solve.gauss_newton import MAX_DECISION_CHANGES, Solution
 
 CENTRING_SIGMA_TOLERANCE = 0.15
-"""Relative change of the standard deviation of centring errors, above which a network fit is repeated. An estimate from
-a hundred displacement components has a relative standard deviation of 7 %.
-"""
+"""Limit of the relative change of the standard deviation of centring errors. After a larger change, the network fit is
+repeated. An estimate from a hundred displacement components has a relative standard deviation of 7 %."""
 
 
 def start_parameter_values(

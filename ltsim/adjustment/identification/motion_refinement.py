@@ -17,9 +17,9 @@ from ltsim.physics.effects.station_settling import StationSettling
 from ltsim.solve.gauss_newton import MAX_DECISION_CHANGES
 
 MIN_MOTION_SIGMAS_FOR_REFINEMENT = 1000.0
-"""Smallest size of a sudden station motion, in its standard deviations, at which other times of the motion are fitted
-too. A smaller motion does not distort the network so much that a linear approximation selects a wrong time.
-"""
+"""Limit of the size of a sudden station motion, in its standard deviations. For a larger motion, other times of the
+motion are fitted too. A smaller motion distorts the network so little that the linear approximation selects the right
+time."""
 
 
 def refine_motion_time(fit: NetworkFit) -> NetworkFit:

@@ -34,15 +34,14 @@ MIN_POINTS_FOR_EXCHANGE = 4
 """Smallest number of reference points for a test whether two points are exchanged. With three points an exchange always
 fits, as a mirror image."""
 MAX_EXCHANGE_MISCLOSURE_RATIO = 0.02
-"""Largest ratio of misclosures at which the exchange of two points becomes a hypothesis: largest misclosure of the
-reference points after this exchange, divided by that without an exchange or after any other exchange. It is also the
-largest relative difference between the scale errors that single lengths show, if all distances have one scale error.
-"""
+"""Limit of the ratio of misclosures of reference points with two names exchanged and without an exchange (or after any
+other exchange). If the ratio is smaller, the exchange becomes a hypothesis. It is also the largest relative difference
+of the scale errors of single lengths, if all distances have one scale error."""
 
 
 MIN_COMPARED_LENGTH = MAX_TRACKER_ERROR / MIN_RELATIVE_DISAGREEMENT_OF_WRONG_LENGTHS
-"""Smallest length [m] whose ratio to its measured value is computed: 0.5 m. Errors of a tracker then change the ratio
-by less than `MIN_RELATIVE_DISAGREEMENT_OF_WRONG_LENGTHS`, above which a scale error is sought before any fit."""
+"""Smallest length [m] that is compared with its measured value: 0.5 m. Errors of a tracker change the ratio of such
+lengths by less than `MIN_RELATIVE_DISAGREEMENT_OF_WRONG_LENGTHS`, so that they are not taken for a scale error."""
 
 
 def reference_point_exchanges(recording: Recording) -> list[CauseHypothesis]:

@@ -49,10 +49,11 @@ from ltsim.physics.effects.motions import reading_change_by_displacement
 from ltsim.solve.gauss_newton import solve
 
 MIN_OUTLIERS_FOR_DISTANCE_TRIAL = 6
-"""Number of outliers in a network, above which trial fits without the distances of one station or target are made."""
+"""Limit of the number of outliers in a network. If it is exceeded, trial fits are made without the distances of one
+station or target."""
 MIN_GROSS_FRACTION_FOR_TRIAL = 0.4
-"""Fraction of gross errors among the pointings of a station or target, above which a motion of the target is tested, or
-a trial fit without the distances is made."""
+"""Limit of the fraction of gross errors among the pointings of a station or target. If it is exceeded, a motion of the
+target is tested, or a trial fit is made without the distances."""
 MAX_FITTED_HYPOTHESES = 4
 """Largest number of hypotheses that one step of the selection fits; also of failed fits and of trial fits."""
 MIN_SCALE_TEST_LENGTHS = 2
@@ -130,7 +131,7 @@ def _best_onset_per_place(
 
 
 def _projected_log_evidence_gains(residual_space: ResidualSpace, candidates: Sequence[ShiftCandidate]) -> Floats:
-    """Gains (h,) of log evidence by h candidate shifts, from residuals after projection off all unknowns of a fit."""
+    """Gains (h,) of log evidence by h candidate shifts, from residuals of a fit and projected design columns."""
     gains = np.full(len(candidates), -np.inf)
     indices = np.arange(len(candidates))
     n_entries = np.array([residual_space.n_equations * c.family.design.shape[2] for c in candidates], dtype=np.int64)
@@ -247,7 +248,7 @@ def _target_position(fit: NetworkFit, pointing_indices: Ints) -> Floats | None:
 
 
 def _distance_trial_hypotheses(fit: NetworkFit, candidates: Sequence[ShiftCandidate]) -> list[ScreenedHypothesis]:
-    """Hypotheses of offsets and scale errors of distances at the stations and targets with most outliers, with gains.
+    """Hypotheses of offsets and scale errors of distances at the stations and targets with most outliers.
 
     Distances with large errors displace the target or station, so that its angles have large residuals too. The network
     is therefore fitted without these distances, and the error is estimated from their residuals. The list is empty if

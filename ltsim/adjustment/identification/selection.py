@@ -57,26 +57,24 @@ MIN_POINTINGS_LARGE_NETWORK = 1500
 which saves 5 s of processor time.
 """
 MAX_CHI2_RATIO_OF_COMPUTED_READINGS = 1e-6
-"""Ratio of chi-square to degrees of freedom, below which readings count as computed and not measured: the residuals are
-below a thousandth of the declared noise.
-"""
+"""Limit of chi-square divided by the degrees of freedom. Readings with a smaller ratio were computed, not measured:
+their residuals are below a thousandth of the declared noise."""
 MAX_OUTLIER_FRACTION_OF_CONSISTENT_NETWORK = 0.01
-"""Largest fraction of outliers at which a large network counts as consistent, if it also passes the global test at the
-level `FAMILY_WISE_LEVEL`.
-"""
+"""Largest fraction of outliers in a consistent large network, which also passes the global test at the level
+`FAMILY_WISE_LEVEL`."""
 MIN_REFERENCES_PER_WRONG_REFERENCE = 3
-"""Smallest ratio of the number of all reference values to the number of those with large misclosures, at which the
-reference values with large misclosures are excluded before the search for other causes: the remaining values are a
-clear majority."""
+"""Limit of the number of all reference values, divided by the number of values with large misclosures. If the ratio is
+larger, the values with large misclosures are excluded before the search for other causes, because the remaining values
+are a clear majority."""
 MIN_GAIN_FRACTION_WITHOUT_RESTART = 0.5
-"""Ratio of the gain of log evidence of a fit with one more hypothesis to the gain expected by a linear approximation,
-below which the fit is repeated from new start values instead of the present state."""
+"""Limit of the gain of log evidence by one more hypothesis, divided by the gain that a linear approximation predicts.
+If the ratio is smaller, the fit is repeated from new start values."""
 MIN_LOG_EVIDENCE_FOR_RESTART = 50.0
-"""Smallest gain of log evidence, by a linear approximation, at which a fit is repeated from new start values: the gain
-by a shift of ten standard deviations. A smaller shift hardly changes the converged state."""
+"""Smallest gain of log evidence, predicted by a linear approximation, for which a fit may be repeated from new start
+values: the gain by a shift of ten standard deviations. A smaller shift hardly changes the converged state."""
 MIN_GAIN_FRACTION_FOR_RIVALS_ONLY = 0.8
-"""Ratio of the gain of log evidence by the first fitted hypothesis to its gain by a linear approximation, above which
-only rivals are fitted too: hypotheses that may explain the same readings."""
+"""Limit of the gain of log evidence by the first fitted hypothesis, divided by the gain that a linear approximation
+predicts. If the ratio is larger, the only further fits are those of its rivals, which may explain the same readings."""
 RankedTrialFits = tuple[tuple[CauseHypothesis, NetworkFit], ...]
 """Hypotheses that were added to a fit on trial, each with the resulting fit; the fit with the largest log evidence
 first.

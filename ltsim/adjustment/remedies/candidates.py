@@ -49,7 +49,7 @@ N_CANDIDATE_YAWS = 4
 REPEATED_SETUP_BASE_ROTATION = math.tau / N_CANDIDATE_YAWS
 """Proposed rotation [rad] of the tracker's base if it is set up again at a previous position."""
 MAX_SETUPS_FOR_ADDITION = 30
-"""Number of set-ups of a recording, from which on no additional station is evaluated, to limit the computing time."""
+"""Smallest number of set-ups in a recording for which no additional station is evaluated, to limit the time."""
 MIN_PROPOSED_SPACING = 0.8
 """Smallest distance [m] of a proposed station or target from all other stations and targets."""
 REFERENCE_BAR_LENGTH = 2.0
@@ -203,25 +203,25 @@ def pointing_candidates(
     order = _targets_in_measurement_order(recording.target[here])
     usual_face = int(recording.face[here[0]])
 
-    def candidate_here(key: str, target: Ints, face: int = usual_face, **values: object) -> CandidateMeasurement:
+    def candidate_at_station(key: str, target: Ints, face: int = usual_face, **values: object) -> CandidateMeasurement:
         seconds = len(target) * network.seconds_per_pointing
         words = advice_sentence(key, station=station, **values)
         return CandidateMeasurement("pointings", words, seconds, network.with_pointings(last_index, target, face))
 
     if len(np.unique(recording.face[here])) == 1:
-        yield candidate_here("other face here", order[::-1], 3 - usual_face)
-    yield candidate_here("close here", order[:MIN_POINTS_FOR_POSE], count=min(MIN_POINTS_FOR_POSE, len(order)))
-    yield candidate_here("reverse here", order[::-1])
+        yield candidate_at_station("other face here", order[::-1], 3 - usual_face)
+    yield candidate_at_station("close here", order[:MIN_POINTS_FOR_POSE], count=min(MIN_POINTS_FOR_POSE, len(order)))
+    yield candidate_at_station("reverse here", order[::-1])
     repeat_targets = [t for t in order.tolist() if recording.targets[t] in set(suspect_targets)]
     if repeat_targets:
         names = list_text([recording.targets[t] for t in repeat_targets])
-        yield candidate_here(
+        yield candidate_at_station(
             "look again",
             np.tile(np.array(repeat_targets, dtype=np.int64), N_POINTINGS_TO_SUSPECT_TARGET),
             targets=names,
             count=N_POINTINGS_TO_SUSPECT_TARGET,
         )
-    yield candidate_here(
+    yield candidate_at_station(
         "to and fro", np.tile(np.r_[order[::-1], order], N_ADDITIONAL_ROUNDS // 2), count=N_ADDITIONAL_ROUNDS
     )
     unseen = np.setdiff1d(np.arange(len(recording.targets)), order)
@@ -234,7 +234,7 @@ def pointing_candidates(
         plan = FloorPlanTransform.from_recording(recording, network.state)
         unseen = unseen[visibility_function(*map(plan.positions_on_plan, places))[0]]
     if len(unseen):
-        yield candidate_here("unmeasured", unseen, targets=", ".join(recording.targets[t] for t in unseen[:6]))
+        yield candidate_at_station("unmeasured", unseen, targets=", ".join(recording.targets[t] for t in unseen[:6]))
 
 
 def repeated_setup_candidates(

@@ -65,8 +65,7 @@ class PlannedNetwork:
     def make_adjustment(self) -> Adjustment:
         """Adjustment of this network at its state; raises NetworkError if a pose is undetermined.
 
-        The adjustment is not cached, because many candidate measurements have an adjustment, of 8 MB in a large
-        network.
+        The adjustment is not cached: each of many candidate measurements has one, which takes 8 MB in a large network.
         """
         return Adjustment.from_plan(self.recording, self.state, self.construction, prior=self.prior)
 

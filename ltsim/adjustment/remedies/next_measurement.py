@@ -30,7 +30,7 @@ from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.effects.verbs import effect_tuple
 
 MIN_DECISIVE_CHI2 = 10.0
-"""Smallest expected difference of chi-square at which two possible causes count as distinguished."""
+"""Smallest expected difference of chi-square between two possible causes that a measurement distinguishes."""
 N_EVALUATED_CANDIDATE_STATIONS = 24
 """Number of candidate stations for which the expected difference of chi-square between causes is computed: the stations
 that give most information on the instrument."""
@@ -97,7 +97,7 @@ class MeasurementProposal(ValueEquality):
 
     @property
     def distinguishes_all(self) -> bool:
-        """True if the measurement would distinguish all other possible causes from the first one."""
+        """True if the measurement would distinguish every other possible cause from the first possible cause."""
         return bool(self.expected_chi2_differences) and len(self.distinguished_explanations) == len(
             self.expected_chi2_differences
         )

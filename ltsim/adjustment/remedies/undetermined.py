@@ -31,10 +31,11 @@ from ltsim.solve.gauss_newton import MAX_ITERATIONS
 MIN_DETERMINED_GAIN = 0.5
 """Smallest gain (fraction of the prior variance that the readings remove) of a determined parameter combination."""
 MAX_UNINFORMATIVE_GAIN = 0.01
-"""Gain (fraction of the prior variance that the readings remove), below which parameter combinations count as equally
-undetermined. Such combinations are replaced by linear combinations of them that contain few parameters."""
+"""Largest gain of an uninformative combination of parameters. The gain is the fraction of the prior variance that the
+readings remove. Uninformative combinations are replaced by linear combinations of each other that contain few
+parameters."""
 MIN_REPORTED_COEFFICIENT = 0.1
-"""Absolute coefficient of a parameter in a combination of parameters, above which the parameter is reported."""
+"""Smallest absolute coefficient of a parameter that is reported as part of a combination of parameters."""
 MIN_WORTHWHILE_GAIN_INCREASE = 0.25
 """Smallest increase of the gain (fraction of the prior variance that the readings remove) of a parameter combination by
 a proposed measurement."""

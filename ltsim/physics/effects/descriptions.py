@@ -146,7 +146,7 @@ class EffectDescription(Description):
 
     @property
     def labelled_texts(self) -> tuple[tuple[str, str], ...]:
-        """Pairs of label and text after the equation: sections of the catalogue entry, then properties of the class."""
+        """Pairs of label and text of a catalogue entry below its equation: sections, then properties of the effect."""
         pairs = (
             *zip(DOCSTRING_SECTIONS, (getattr(self, field) for field in SECTION_FIELD_NAMES), strict=True),
             ("Acts on", self.observables_text),

@@ -36,8 +36,8 @@ FIXED_COUNT_RESET_FUNCTION = "every"
 """Name of the reset of an accumulated quantity (sum of the changes of a covariate) after a fixed number of
 pointings."""
 CANDIDATE_RESET_LIMIT_QUANTILES = (0.6, 0.8, 0.92)
-"""Limits of pause, azimuth motion and elevation motion at which a diagnosis tries to reset an accumulated quantity (sum
-of the changes of a covariate), as quantiles in the recording."""
+"""Limits of pause, azimuth motion and elevation motion that a diagnosis tries for the reset of an accumulated quantity
+(sum of the changes of a covariate), as quantiles in the recording."""
 CANDIDATE_DECAY_TIME_FRACTIONS = np.array([0.03, 0.1, 0.3, 1.0])
 """Time constants of decays that a diagnosis tries, as fractions of the span of the time. For accumulated quantities
 (sum of the changes of a covariate) only the first three are tried, as fractions of the median duration of a set-up. Any
@@ -66,8 +66,8 @@ reset, and its constant (a time constant [s], a number of pointings, or a limit)
 def candidate_accumulation_keys(sightings: Sightings, inputs: Sequence[str]) -> list[AccumulationKey]:
     """Keys of the accumulated quantities that a diagnosis tries; `inputs` are the names of the covariates.
 
-    Their values in the pointings are stored in the cache of the sightings. An accumulated quantity is the sum of the
-    changes of a covariate over the pointings.
+    An accumulated quantity is the sum of the changes of a covariate over the pointings. Their values in the pointings
+    are stored in the cache of the sightings.
     """
     functions = list(_candidate_decays_and_resets(sightings))
     states = [
@@ -84,8 +84,8 @@ def candidate_accumulation_keys(sightings: Sightings, inputs: Sequence[str]) -> 
 def _candidate_decays_and_resets(sightings: Sightings) -> Iterator[tuple[str, float]]:
     """Iterator over pairs of the name of a decay or reset of an accumulated quantity, and its constant.
 
-    A reset is omitted if too few pointings have it, or too few pointings do not have it. An accumulated quantity is the
-    sum of the changes of a covariate over the pointings.
+    An accumulated quantity is the sum of the changes of a covariate over the pointings. A reset is omitted if too few
+    pointings have it, or too few pointings do not have it.
     """
     setup_duration = float(
         np.median([np.ptp(sightings.time[sightings.station == s]) for s in np.unique(sightings.station)])
@@ -161,8 +161,8 @@ def candidate_latch_keys(sightings: Sightings, covariates: Iterable[str]) -> lis
 def _limit_quantity(sightings: Sightings, quantity_name: str) -> Floats:
     """Absolute values (n,) in n pointings of a time [s] or motion [rad] that resets an accumulated quantity.
 
-    `quantity_name` is the time since the previous pointing (`pause`), or the motion in azimuth (`slew`) or elevation
-    (`tip`). An accumulated quantity is the sum of the changes of a covariate over the pointings.
+    An accumulated quantity is the sum of the changes of a covariate over the pointings. `quantity_name` is the time
+    since the previous pointing (`pause`), or the motion in azimuth (`slew`) or elevation (`tip`).
     """
     quantity = {"pause": "lapse", "slew": "move-azimuth", "tip": "move-elevation"}[quantity_name]
     return np.abs(sightings.covariate_values[quantity])
@@ -171,8 +171,8 @@ def _limit_quantity(sightings: Sightings, quantity_name: str) -> Floats:
 def _is_reset(sightings: Sightings, function_name: str, constant: float) -> Bools:
     """Mask (n,) of the pointings at which an accumulated quantity is reset, except the first pointing of a set-up.
 
-    `function_name` is the name of the reset, `constant` its limit or its number of pointings. An accumulated quantity
-    is the sum of the changes of a covariate over the pointings.
+    An accumulated quantity is the sum of the changes of a covariate over the pointings. `function_name` is the name of
+    the reset, `constant` its limit or its number of pointings.
     """
     has_previous = sightings.previous_pointing_indices >= 0
     before = np.where(has_previous, sightings.previous_pointing_indices, 0)
@@ -225,9 +225,9 @@ def _increments(sightings: Sightings, covariate: str) -> Floats:
 def _remaining_fraction(sightings: Sightings, function_name: str, constant: float) -> Floats:
     """Fraction (n,) of an accumulated quantity that remains at each of n pointings from the previous pointing.
 
-    It is 0 at a reset and at the first pointing of a set-up. `function_name` is the name of the decay or reset,
-    `constant` its constant: a time [s], a number of pointings, or the limit of a pause or motion. An accumulated
-    quantity is the sum of the changes of a covariate over the pointings.
+    An accumulated quantity is the sum of the changes of a covariate over the pointings. It is 0 at a reset and at the
+    first pointing of a set-up. `function_name` is the name of the decay or reset, `constant` its constant: a time [s],
+    a number of pointings, or the limit of a pause or motion.
     """
     has_previous = (sightings.previous_pointing_indices >= 0).astype(np.float64)
     if function_name == TIME_DECAY_FUNCTION:

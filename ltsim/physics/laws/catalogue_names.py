@@ -22,11 +22,11 @@ TIME_FUNCTIONS_OF_MOVED_TARGET = ("step", "power", "decay")
 RESPONSE_NAMES_BY_CIRCLE = {"azimuth": ("azimuth",), "elevation": ("elevation", "vertical index")}
 """Names of the responses (changed quantities) through which graduation errors act, by the name of the circle."""
 MIN_HARMONIC_PERIODS_PER_TURN = 2.5
-"""Number of periods per turn above which a wave in the angle of a circle gets the name of a graduation harmonic. The
-ordinary calibration already contains waves with one and two periods per turn."""
+"""Limit of the number of periods per turn of a wave in the angle of a circle. Above it the wave is called a graduation
+harmonic; the ordinary calibration already contains waves with one and two periods per turn."""
 MIN_INTERPOLATION_PERIODS_PER_TURN = 20.0
-"""Number of periods per turn above which a wave in the angle of a circle gets the name of an interpolation error of
-the encoder. With fewer periods it is a graduation harmonic."""
+"""Limit of the number of periods per turn of a wave in the angle of a circle. Above it the wave is called an
+interpolation error of the encoder, below it a graduation harmonic."""
 
 
 def equivalent_effect_name(law: EmpiricalLaw) -> str:

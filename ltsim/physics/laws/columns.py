@@ -22,8 +22,8 @@ from ltsim.scene.sightings import Sightings
 CIRCULAR_COVARIATES = ("azimuth", "circle", "bearing", "nest-direction")
 """Names of the covariates that are angles on a full circle."""
 N_CURVE_MODES = 9
-"""Number of eigenfunctions of the Laplacian (modes) of which a diagnosis composes a smooth curve. For the shortest
-length scale, the prior standard deviation of the last coefficient is a tenth to a third of the first one."""
+"""Number of eigenfunctions of the Laplacian (modes) in a smooth curve that a diagnosis tries. For the shortest length
+scale, the prior standard deviation of the last coefficient is a tenth to a third of the first one."""
 N_PRODUCT_CURVE_MODES = 4
 """Number of eigenfunctions (modes) of a smooth curve that is a factor of a product, or a law (error as a function of
 covariates) of a single target."""
@@ -65,8 +65,8 @@ HYSTERESIS_FUNCTION = "hysteresis"
 """Name of the function with hysteresis, which depends on the order of the pointings. Its constant is half the width
 of the loop, in the unit of the covariate."""
 MAX_NATURAL_ZERO_FRACTION = 0.02
-"""Ratio of the smallest to the largest absolute value of a covariate, below which zero is its reference value. A
-load, for example, is practically zero in some pointings."""
+"""Limit of the ratio of the smallest to the largest absolute value of a covariate. Below it, zero is the reference
+value of the covariate. A load, for example, is practically zero in some pointings."""
 
 
 def has_natural_zero(covariate: Floats) -> bool:
@@ -87,7 +87,7 @@ def scaled_to_unit_rms(column: Floats) -> Floats:
 
 
 N_HARMONICS_OF_CYCLE = 5
-"""Number of harmonics of which a diagnosis composes a periodic function of any shape (cycle)."""
+"""Number of harmonics in a periodic function of any shape (cycle) that a diagnosis tries."""
 
 
 def fourier_columns(phase: Floats, n_harmonics: int) -> Floats:

@@ -38,14 +38,13 @@ FACE_SIGN_REGRESSOR = scalar_regressor("face", "power")
 """Regressor (function of covariates) with +1 in face 1, -1 in face 2. An elevation error proportional to this regressor
 is an error of the vertical index."""
 MAX_CANDIDATE_STEP_POSITIONS = 41
-"""Largest number of values of a covariate at which a diagnosis tries a step or ramp of an error law."""
+"""Largest number of positions (values of a covariate) that a diagnosis tries for a step or ramp of an error law."""
 PARTS_SEPARATE_BY_SETUP = ("reading", "instrument", "circle", "stand")
-"""Parts of the measurement (`Response.changed_part`) for whose errors a diagnosis tries separate coefficients in each
-set-up."""
+"""Parts of the measurement (`Response.changed_part`) whose errors may have separate coefficients in each set-up."""
 MAX_CANDIDATE_SWITCH_EDGES = 60
-"""Largest number of values of a covariate at which a diagnosis tries to turn an error on or off."""
+"""Largest number of values of a covariate that a diagnosis tries for turning an error on or off."""
 MAX_STEPS_IN_MOVED_LAW = 4
-"""Largest number of steps and ramps of an error law for which a local search tries other positions; each costs time."""
+"""Largest number of steps and ramps of an error law whose positions a local search varies; each costs time."""
 MAX_STEP_MOVE_GAPS = 6
 """Largest number of gaps between values of the covariate by which a local search moves a step or ramp, and smallest
 number of gaps between two steps (a few pointings do not determine the size of a step)."""
@@ -159,7 +158,7 @@ class EmpiricalLaw(CandidateEffect):
         return self.regressor.region is not None
 
     def without_time_limit(self) -> EmpiricalLaw:
-        """Copy of a law of a region of the hall that acts during the whole measurement; other laws unchanged."""
+        """Copy of a law in a region of the hall without a time limit; other laws are returned unchanged."""
         first, *others = self.regressor.factors or (self.regressor,)
         gated = first.region is not None and [f.kind for f in others] == ["switch"]
         return replace(self, regressor=first) if gated else self
@@ -223,7 +222,7 @@ class EmpiricalLaw(CandidateEffect):
         return movable_factors[0] if movable_factors and self.regressor.hall_region is None else None
 
     def _with_moved_steps(self, sightings: Sightings, steps: Regressor) -> list[EmpiricalLaw]:
-        """Copies of the law with one of `steps` at another gap between values of the covariate, or with another lag."""
+        """Copies of the law with one of its `steps` one gap between covariate values further, or with another lag."""
         x = np.unique(sightings.covariate_values[steps.covariates[0]][self.pointing_indicator(sightings) > 0])
         gaps = np.searchsorted(x, [piece.constant for piece in steps.factors])
         laws = []
@@ -239,7 +238,7 @@ class EmpiricalLaw(CandidateEffect):
         return laws + [self._with_replaced_factor(steps, replace(steps, constant=k)) for k in _candidate_lags(steps)]
 
     def _with_replaced_factor(self, old_factor: Regressor, new_factor: Regressor) -> EmpiricalLaw:
-        """Copy of the law with `new_factor` in place of `old_factor`, its whole function or one of its factors."""
+        """Copy of the law with `new_factor` in place of `old_factor` (its whole function or one of its factors)."""
         if self.regressor == old_factor:
             return replace(self, regressor=new_factor)
         factors = tuple(new_factor if factor == old_factor else factor for factor in self.regressor.factors)
@@ -323,7 +322,7 @@ class EmpiricalLaw(CandidateEffect):
         return replace(self, regressor=self._regressor_with_switch(switch_regressor(edge_steps)), length_scale_index=0)
 
     def _regressor_with_switch(self, gate_regressor: Regressor) -> Regressor:
-        """Function of covariates in which `gate_regressor` (steps, switch) replaces a curve, or multiplies a length."""
+        """Function of covariates with a switch: `gate_regressor` (steps) in place of a curve, or times a length."""
         if self.depends_on_permanent_region:
             return Regressor("product", factors=(self.regressor, gate_regressor))
         others = [f for f in self.regressor.factors if f != self.switchable_factor]
@@ -348,7 +347,7 @@ class EmpiricalLaw(CandidateEffect):
         return replace(self, response=index, regressor=rest[0]) if is_index else self
 
     def with_coefficients_per_setup(self, sightings: Sightings) -> EmpiricalLaw | None:
-        """Copy of the law with coefficients per set-up; None for a product, or a law of some stations or targets."""
+        """Copy of the law with separate coefficients per set-up; None if the law or network does not permit this."""
         stations = tuple(sightings.station_names)
         is_restricted = len(self.stations) > 1 or self.targets or self.instruments
         is_unsuitable = (

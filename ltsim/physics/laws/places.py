@@ -11,12 +11,11 @@ from ltsim.core.arrays import Ints
 from ltsim.scene.sightings import Sightings
 
 CANDIDATE_NEIGHBOUR_GROUP_SIZES = (3, 6)
-"""Numbers of nearest neighbours with which a target forms a group for which a diagnosis tries a law (error as a
-function of covariates)."""
+"""Numbers of nearest neighbours in the groups of targets that a diagnosis tries as places of a law (error as a function
+of covariates)."""
 MIN_GROUP_TARGETS = 3
-"""Smallest number of targets in a group, and outside the group, for which a diagnosis tries a law (error as a function
-of covariates) of the group. A law with a separate value for each set-up is tried only with more set-ups than this
-number."""
+"""Smallest number of targets in a group with a law (error as a function of covariates), and outside this group. A law
+with a separate value for each set-up is tried only if there are more set-ups than this number."""
 CLUSTERING_HEIGHT_WEIGHT = 5.0
 """Factor on heights in the clustering of targets by height and surface. A height difference of a fifth of the hall
 then counts as much as an angle of 60 deg between two nest normals."""
@@ -53,7 +52,7 @@ def station_names_of_rows(sightings: Sightings, rows: Ints) -> tuple[str, ...]:
 def instrument_places(sightings: Sightings, names: Sequence[str]) -> tuple[LawPlace, ...]:
     """Places of laws, one per instrument in `names` with all its set-ups; empty if there is only one instrument.
 
-    A law is an error as a function of covariates.
+    A law describes an error as a function of covariates.
     """
     places = tuple(
         LawPlace(station_names_of_rows(sightings, rows), (), rows, (name,))
@@ -65,9 +64,9 @@ def instrument_places(sightings: Sightings, names: Sequence[str]) -> tuple[LawPl
 def target_clusters(sightings: Sightings) -> set[tuple[int, ...]]:
     """Groups of related targets, for each of which a diagnosis tries a law, as tuples of sorted target indices.
 
-    The groups are the branches of three trees of hierarchical clustering (average linkage): by position, by position
-    and surface, and by height and surface. Nests with similar normals count as mounted on the same surface. A law is an
-    error as a function of covariates.
+    A law describes an error as a function of covariates. The groups are the branches of three trees of hierarchical
+    clustering (average linkage): by position, by position and surface, and by height and surface. Nests with similar
+    normals count as mounted on the same surface.
     """
     if len(sightings.target_points) < 2 * MIN_GROUP_TARGETS:
         return set()
@@ -118,7 +117,7 @@ def groups_connected_by_lengths(
 def group_places(sightings: Sightings, target_groups: set[tuple[int, ...]]) -> Iterator[LawPlace]:
     """Places of laws, one per group of targets (tuple of target indices), with the pointings to the group.
 
-    A law is an error as a function of covariates.
+    A law describes an error as a function of covariates.
     """
     for members in sorted(target_groups):
         rows = np.flatnonzero(np.isin(sightings.target, members))

@@ -87,11 +87,11 @@ PERMITTED_COVARIATES_BY_AFFECTED_PART: dict[str, tuple[str, ...]] = {
     "reflector": ("time", "lapse", "last-target", *_SIGN_COVARIATES[3:], *_NEST_COVARIATES),
     "air": CLOCK_COVARIATES,
 }
-"""Names of the covariates on which a response (changed quantity) can depend, by `Response.changed_part`, besides
-columns of the recording. The position of a wall cannot depend on the direction in which a tracker points. The position
-of a stand can, because a head is not balanced exactly."""
+"""Names of the covariates on which a response (changed quantity) can depend, by `Response.changed_part`. It can also
+depend on additional columns of the recording. The position of a wall cannot depend on the direction in which a tracker
+points. The position of a stand can, because a head is not balanced exactly."""
 MIN_EFFECTIVE_TARGETS_IN_REGION = 2.5
-"""Effective number (sum w)^2 / sum(w^2) of targets with weights w, above which errors of a region are tried."""
+"""Smallest effective number (sum w)^2 / sum(w^2) of targets with weights w in a region whose errors are tried."""
 NEARNESS_REGION_SHAPES = ("xyz", "xy")
 """Axes along which regions are bounded, for errors that depend on the distance of a target from a position."""
 TEMPORARY_REGION_SHAPES = ("xy", "x", "y", "z")
@@ -108,7 +108,7 @@ MAX_SEPARATE_AMOUNTS = 12
 """Largest number of set-ups, instruments or targets with separate values in an error law (more would fit any errors),
 and largest number of times at which a diagnosis tries a step."""
 MAX_SEPARATE_TARGET_AMOUNTS = 60
-"""Largest number of targets for which a diagnosis tries errors with a separate value for each target."""
+"""Largest number of targets for which a diagnosis tries errors with a separate value per target."""
 WAVE_FREQUENCY_STEP = 0.6
 """Spacing of the frequencies of the waves that a diagnosis tries, in cycles over the span of the covariate."""
 MAX_CANDIDATE_WAVE_CYCLES = 60
@@ -159,7 +159,7 @@ def _varying_covariates(sightings: Sightings, covariates: Iterable[str]) -> list
 
 
 def is_physically_possible(changed_part: str, regressor: Regressor, sightings: Sightings) -> bool:
-    """True if an error of the part `changed_part` of the measurement can physically depend on `regressor`."""
+    """True if an error in the part `changed_part` of the measurement can physically depend on `regressor`."""
     names = [*regressor.covariates, *(n for f in regressor.factors if f.kind != "field" for n in f.covariates)]
     permitted_names = PERMITTED_COVARIATES_BY_AFFECTED_PART.get(changed_part, ())
     return changed_part == "reading" or all(
@@ -243,7 +243,7 @@ def contains_several_targets(region: HallRegion, sightings: Sightings) -> bool:
 
 
 def temporary_region_regressors(sightings: Sightings, function: str = "") -> Iterator[Regressor]:
-    """Functions of covariates for regions of the hall that act for a part of the time; `function` as in `Regressor`."""
+    """Functions of covariates for regions of the hall that act during a part of the time, of a given `function`."""
     time, regions = np.unique(sightings.time), candidate_regions(sightings, TEMPORARY_REGION_SHAPES)
     if len(time) < MAX_SEPARATE_AMOUNTS or not regions:
         return
@@ -307,7 +307,7 @@ def _alternations_differ(sightings: Sightings) -> bool:
 
 
 def per_setup_regressors(sightings: Sightings, min_setups: int) -> list[Regressor]:
-    """List of a function with a value per set-up; empty below `min_setups` or above `MAX_SEPARATE_AMOUNTS` set-ups."""
+    """List with a function that has a value per set-up; empty for fewer than `min_setups` or too many set-ups."""
     n_stations = len(np.unique(sightings.station))
     return [group_amounts_regressor("station", n_stations)] if min_setups <= n_stations <= MAX_SEPARATE_AMOUNTS else []
 

@@ -65,7 +65,7 @@ def name_without_memory_prefix(covariate: str) -> str:
 
 
 def covariate_names_in_files(covariates: Iterable[str]) -> tuple[str, ...]:
-    """Names in files of the given covariates; all that depend on earlier motions of the head are called `approach`."""
+    """Names, in files, of the given covariates; `approach` stands for all that depend on earlier motions."""
     memory = {
         name
         for name in covariates
@@ -122,11 +122,10 @@ class Regressor:
     it is the order of the polynomial.
     """
     factors: tuple[Regressor, ...] = ()
-    """Regressors of which this one consists: the factors of a product, the steps and ramps of a sum, or the steps of
-    a switch."""
+    """Regressors that compose this one: factors of a product, steps and ramps of a sum, or steps of a switch."""
     field_or_amount_targets: tuple[str, ...] = ()
-    """Names of targets: those whose mean position is the origin of a polynomial of the position (`field`), or those
-    with separate values; empty for all."""
+    """Names of targets: for a polynomial of the position (`field`) those whose mean position is its origin, for
+    separate values (`amounts`) those with a value; empty for all."""
     region: HallRegion | None = None
     """Region of the hall of a `passage` or `near` regressor; None for other kinds."""
     release_threshold: float = 0.0
@@ -135,10 +134,10 @@ class Regressor:
     def columns(self, sightings: Sightings, *, acts_on_targets: bool = False) -> Floats:
         """Columns (n, k) of the regressor in the design matrix, for n pointings, each with an rms of about one.
 
-        If the law moves targets (`acts_on_targets`), the columns are relative to the pointings at which the targets
-        have their declared coordinates: those at the start of the measurement, or those at which the additional column
-        of the recording is zero. Without such pointings each column has zero mean. A law is an error as a function of
-        covariates.
+        A law describes an error as a function of covariates. If the law moves targets (`acts_on_targets`), the columns
+        are relative to the pointings at which the targets have their declared coordinates: those at the start of the
+        measurement, or those at which the additional column of the recording is zero. Without such pointings each
+        column has zero mean.
         """
         columns = self._unreduced_columns(sightings, acts_on_targets)
         if not acts_on_targets or self.kind in ("constant", "field", "amounts", "product"):
@@ -194,8 +193,8 @@ class Regressor:
     def _accumulation_or_latch_column(self, sightings: Sightings, name: str) -> Floats:
         """Values (n,) in n pointings of an accumulated quantity or a latch, minus their mean.
 
-        A latch is on once a covariate exceeds a threshold, and off once it is below a lower one. An accumulated
-        quantity is the sum of the changes of a covariate over the pointings.
+        An accumulated quantity is the sum of the changes of a covariate over the pointings. A latch is on once a
+        covariate exceeds a threshold, and off once it is below a lower one.
         """
         if self.kind == "latch":
             return latched(sightings, name, self.constant, self.release_threshold)

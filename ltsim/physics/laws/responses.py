@@ -39,7 +39,7 @@ PLAUSIBLE_MOTION = 30 * MICROMETRE
 class Response:
     """Response: quantity of the measurement, such as the vertical index, that an effect or law changes.
 
-    A law is an error as a function of covariates.
+    A law describes an error as a function of covariates.
     """
 
     name: str
@@ -80,8 +80,8 @@ _CHAIN_ERROR_RESPONSES = {
     "beam-vertical": Response("vertical beam offset", "um", PLAUSIBLE_LENGTH_ERROR, ("elevation",)),
     "beam-tilt": Response("beam tilt", "urad", PLAUSIBLE_ANGLE_ERROR, ("azimuth",)),
 }
-"""Responses (quantities that an empirical law changes) for each instrument constant, by the key of this constant in the
-kinematic chain, such as `beam-tilt`."""
+"""Responses (quantities that an empirical law changes) that are instrument constants, by the name of the constant in
+the kinematic chain, such as `beam-tilt`."""
 _ECCENTRICITY_RESPONSES = {
     Response(
         f"{effect.observables[0]} eccentricity",
@@ -178,7 +178,7 @@ def _observable_design(sightings: Sightings, observable: str) -> Floats:
 
 
 def _multi_observable_design(sightings: Sightings, response: Response) -> Floats:
-    """Derivatives (n, 3, c) of the raw readings of n pointings with respect to the coefficients of c observables."""
+    """Derivatives (n, 3, c) of the raw readings of n pointings by the coefficients of a response with c observables."""
     component_designs = [
         scale * _observable_design(sightings, name)
         for name, scale in zip(response.observables, response.component_si_per_coefficient, strict=True)
@@ -230,7 +230,7 @@ components of a response (changed quantity)."""
 def _response_registry() -> dict[str, tuple[Response, ResponseDesignFunction]]:
     """Responses by name, each with the function that returns the derivatives of the raw readings by the response.
 
-    A response is the quantity that a law changes. A law is an error as a function of covariates.
+    A law describes an error as a function of covariates. A response is the quantity that a law changes.
     """
     derivatives: list[tuple[Response, ResponseDesignFunction]] = [
         *((response, partial(_observable_design, observable=response.name)) for response in _READING_RESPONSES),
@@ -259,10 +259,10 @@ _RESPONSES_NEEDING_NESTS = {_TARGET_HEIGHT_RESPONSE.name, _REFLECTOR_VERTEX_RESP
 def response_designs(sightings: Sightings) -> dict[str, tuple[Response, Floats]]:
     """Responses by name, each with the derivatives (n, 3, c) of the raw readings of n pointings by its c components.
 
-    Of several responses with the same derivatives only the first is listed: for example, errors of the vertical index
-    and of the elevation are the same if all readings are in one face. A motion of the stand is always listed, because
-    it can depend on other regressors than a motion of the targets. A regressor is a function of covariates to which the
-    error is proportional. A response is the quantity that a law changes.
+    A regressor is a function of covariates to which the error is proportional. A response is the quantity that a law
+    changes. Of several responses with the same derivatives only the first is listed: for example, errors of the
+    vertical index and of the elevation are the same if all readings are in one face. A motion of the stand is always
+    listed, because it can depend on other regressors than a motion of the targets.
     """
     designs: dict[str, tuple[Response, Floats]] = {}
     has_nest_normals = bool(np.isfinite(sightings.nest_normals).any())

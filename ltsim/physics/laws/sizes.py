@@ -12,7 +12,7 @@ from ltsim.scene.sightings import Sightings
 class DisplayedSize(NamedTuple):
     """Size of the change of a law (such as the amplitude of a wave) as reported to users.
 
-    A law is an error as a function of covariates.
+    A law describes an error as a function of covariates.
     """
 
     name: str
@@ -30,9 +30,9 @@ def displayed_sizes(
 ) -> tuple[DisplayedSize, ...]:
     """Sizes of a law: a constant, the amplitude and phase of a wave, or the rms and swing of a curve.
 
-    The swing of a curve is its largest minus its smallest value in the pointings. For a motion in space all components
-    are listed, at the set-up with the largest motion. The k coefficients of the law have the mean `coefficients` (k,)
-    [SI] and the covariance `covariance` (k, k). A law is an error as a function of covariates.
+    A law describes an error as a function of covariates. The swing of a curve is its largest minus its smallest value
+    in the pointings. For a motion in space all components are listed, at the set-up with the largest motion. The k
+    coefficients of the law have the mean `coefficients` (k,) [SI] and the covariance `covariance` (k, k).
     """
     law, main_direction, means, spread = law.law_at_setup_of_largest_effect(coefficients, covariance, sightings)
     ways = law.response.component_names
@@ -69,7 +69,7 @@ def displayed_sizes(
 def _displayed_size(law: EmpiricalLaw, name: str, value: float, variance: float, component: int = 0) -> DisplayedSize:
     """Size of one component of the response in its display unit, from value and variance of its coefficient.
 
-    A response is the quantity that a law changes. A law is an error as a function of covariates.
+    A law describes an error as a function of covariates. A response is the quantity that a law changes.
     """
     unit, factor = law.response.display_unit_and_factor_on_coefficient(component)
     return DisplayedSize(name.strip(), float(value) * factor, float(np.sqrt(max(variance, 0.0))) * factor, unit)

@@ -43,7 +43,7 @@ PHRASE_BY_COVARIATE = {
 }
 """Phrases, shown to users, in place of covariate names that are not clear in a sentence."""
 GROUP_COVARIATES = ("station", "target", "last-target")
-"""Names of the covariates for whose values (such as stations) an error may have separate values."""
+"""Names of covariates that divide pointings into groups, for which an error may have separate values."""
 REGRESSOR_TEXT_TEMPLATES: dict[tuple[str, str, float | None], str] = {
     ("constant", "", None): "constant",
     ("smooth", "", None): "a smooth function of {x}",
@@ -100,7 +100,7 @@ UNIT_COVARIATE_BY_FUNCTION = {
 """Covariate that gives the constant of a formula its unit, by function. For other functions it is the covariate to
 which the function is applied."""
 MIN_VALUE_BY_DISPLAY_UNIT = {"min": 2.0, "m": 1.0}
-"""Smallest value that is displayed in a unit, by unit; a smaller one has a smaller unit (90 s, not 1.5 min)."""
+"""Smallest value that is displayed in a unit, by unit; smaller values get a smaller unit (90 s, not 1.5 min)."""
 PER_SETUP_SUFFIX = ", separately at each set-up"
 """Suffix of the text form of a law (error as a function of covariates) with separate coefficients for each set-up."""
 FIXED_RATIO_SUFFIX = ", components in the ratio {values}"

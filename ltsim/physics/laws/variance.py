@@ -24,8 +24,8 @@ faces."""
 
 
 MIN_RELATIVE_PATH_IN_REGION = 0.05
-"""Length of a line of sight within a region of the hall, divided by the longest one, up to which the line counts as
-outside the region."""
+"""Largest relative path in a region of the hall of a line of sight that counts as outside it: length within the region,
+divided by the longest such length."""
 RECENTRING_PHRASE_BY_OCCUPATION_GROUPING: dict[OccupationGrouping, str] = {
     "station": "for each set-up",
     "instrument_setup": "for each occupation by an instrument",
@@ -58,14 +58,14 @@ def noise_covariate(sightings: Sightings, covariate: str) -> Floats:
 
 @dataclass(frozen=True)
 class VarianceFunction(CandidateNoiseEffect):
-    """Variance function: noise hypothesis that depends on a covariate, or differs by target, station or region.
+    """Variance function: changed noise that depends on a covariate, or differs by target, station or region.
 
     variance = sigma^2 (1 + v * pattern), for each reading, with the declared standard deviation sigma, the added
     relative variance v, and a pattern from 0 to 1. Each of `group_names` (targets, stations or pointings) has a
     separate v, and with `has_variance_per_observable` also each observable. For a `region` of the hall the pattern is
     the length of the line of sight in it, divided by the longest such length. With a `covariate_band` the pattern is 1
     if the first covariate is between the first and second limit, the third and fourth, and so on; otherwise it is 0.
-    With a region and a band the pattern is the product of both patterns. A noise hypothesis is a changed noise.
+    With a region and a band the pattern is the product of both patterns.
     """
 
     observables: tuple[str, ...] = OBSERVABLES

@@ -35,9 +35,9 @@ from ltsim.recordings.recording import Recording
 MAX_NEWTON_STEPS = 12
 """Largest number of Newton steps in the inversion of the kinematic chain."""
 NEWTON_TOLERANCE = 1e-14
-"""Size of a Newton step [m, rad] below which the inversion of the kinematic chain ends."""
+"""Size of a Newton step [m, rad] at which the inversion of the kinematic chain ends."""
 NEWTON_FINAL_STEP_THRESHOLD = 1e-11
-"""Size of a Newton step [m, rad] below which one more step, with the exact derivative, leaves only rounding errors."""
+"""Size of a Newton step [m, rad] after which one more step, with the exact derivative, leaves only rounding errors."""
 
 
 @dataclass(frozen=True)
@@ -228,7 +228,7 @@ SPECIFIED_QUANTITY_BY_DH_COEFFICIENT: dict[str, SpecifiedQuantity] = {
 equivalent to the misalignments of a tracker with the laser source in the head."""
 
 _EQUAL_PRIOR_CONTRIBUTION_RANGE = 5.0
-"""Range [m] at which the coefficients of all degrees of the range polynomials have equal prior contributions."""
+"""Range [m] at which the terms of all degrees of a range polynomial have equal prior contributions."""
 UNPHYSICAL_DH_SIGMA = 0.05
 """Prior standard deviation [5 um or 1 arcsec] of coefficients that are not in `SPECIFIED_QUANTITY_BY_DH_COEFFICIENT`.
 They have no physical cause, and most of them act like other coefficients (`DH_CHAIN`)."""
@@ -357,7 +357,7 @@ def construction_with_dh_orders(name: str, max_order: int, degree: int) -> Geome
 
 
 def construction_for_parameters(name: str, parameters: Iterable[str]) -> GeometricErrorModel:
-    """Geometric error model by name; ``dh`` with the lowest orders of its series that include all `parameters`."""
+    """Geometric error model by name; for ``dh`` the smallest orders of its series that include all `parameters`."""
     if name != "dh":
         return make_construction(name)
     ends = [p.rpartition("_") for p in parameters]

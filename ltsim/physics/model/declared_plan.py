@@ -13,8 +13,7 @@ from ltsim.geometry.rigid import VERTICAL, align_rigidly, rotation_about_z, smal
 from ltsim.recordings.recording import Recording
 
 MAX_STANDING_AXIS_SPREAD = 5 * DEGREE
-"""Largest angle [rad] between a standing axis and the mean of all standing axes, up to which all instruments count
-as upright."""
+"""Largest angle [rad] between a standing axis and the mean of all standing axes of upright instruments."""
 MIN_PLAN_POSITIONS = 3
 """Smallest number of approximate station positions that determine the rotation from the floor plan to the network."""
 PLAN_DIRECTION_SIGMA = 3 * DEGREE

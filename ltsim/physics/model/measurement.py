@@ -166,7 +166,7 @@ class MeasurementModel:
 
     @property
     def incidence_parameter_slices(self) -> tuple[slice, ...]:
-        """Slices of the parameters of each of `incidence_errors` in those of all effects and nuisance errors."""
+        """Slices of the parameters of each of `incidence_errors` in the vector of effect and nuisance parameters."""
         first_column = self.n_effect_parameters + sum(len(heads.parameters) for heads in self.height_errors)
         boundaries = first_column + np.cumsum([0, *(len(error.parameters) for error in self.incidence_errors)])
         return tuple(slice(int(begin), int(end)) for begin, end in itertools.pairwise(boundaries))
@@ -186,7 +186,7 @@ class MeasurementModel:
 
     @property
     def centring_parameter_slices(self) -> tuple[slice, ...]:
-        """Slices of the parameters of each of `centring_errors` in those of all effects and nuisance errors."""
+        """Slices of the parameters of each of `centring_errors` in the vector of effect and nuisance parameters."""
         n_parameters = [len(errors.parameters) for errors in self.centring_errors]
         boundaries = self.n_extra_parameters - sum(n_parameters) + np.cumsum([0, *n_parameters])
         return tuple(slice(int(begin), int(end)) for begin, end in itertools.pairwise(boundaries))
@@ -214,7 +214,7 @@ class MeasurementModel:
 
     @property
     def n_effect_parameters(self) -> int:
-        """Number of parameters of `effects`; they are the first of the q parameters of effects and nuisance errors."""
+        """Number of parameters of `effects`. In the vector of all effect and nuisance parameters they come first."""
         return sum(len(effect.parameters) for effect in self.effects)
 
     def _instrument_parameter_values(self, state: NetworkState) -> Floats:

@@ -163,11 +163,10 @@ MAX_CORRELATED_OBSERVATIONS = 500
 """Largest permitted number of correlated observations in a file; each error that they share is an unknown of the
 adjustment."""
 MAX_ZERO_CORRELATION_EIGENVALUE = 1e-6
-"""Eigenvalue of a correlation matrix of observations below which it counts as zero; the matrix is then singular and
-refused.
+"""Largest eigenvalue of a correlation matrix of observations that counts as zero; the matrix is then singular and
+refused. Two eigenvalues whose relative difference is smaller also count as equal.
 
-Two eigenvalues whose relative difference is smaller also count as equal.
-"""
+Two eigenvalues whose relative difference is smaller also count as equal."""
 
 
 def covariance_entries(node: XmlNode) -> tuple[Ints, Ints, Floats]:

@@ -36,7 +36,7 @@ from ltsim.recordings.tables.rows import read_pointing_table
 REPORT_TITLE = "CompositeReport"
 """Word in the title of a report, by which the format is recognised."""
 MAX_SAME_POINT_DISTANCE = 2e-3
-"""Distance [m] below which points with one name in two groups are one target."""
+"""Limit of the distance [m] of points with one name in two groups. Points at a smaller distance are one target."""
 MAX_REPORT_OBSERVATIONS = 150_000
 """Largest permitted number of observations in a report; each takes 2.4 kB of memory and 0.1 ms."""
 SPATIALANALYZER_COLUMN_MAP = "target=Target,horizontal=Azimuth,vertical=Elevation,distance=Distance"

@@ -102,7 +102,7 @@ _COMMA_AND_POINT_PATTERN_BY_MARK = {
     mark: re.compile(_GROUPED_NUMBER_PATTERN_BY_MARK[mark].pattern + rf"[{other}]\d+", re.ASCII)
     for mark, other in (".,", ",.")
 }
-"""Pattern of a number with comma and point, by the one that separates groups of three digits."""
+"""Pattern of a number with a comma and a point, by the mark that separates groups of three digits."""
 
 
 def detect_thousands_separator(sheet_rows: Iterable[Sequence[str]], file: object) -> str:

@@ -40,8 +40,8 @@ SIGMA_ROLES = {
     **dict.fromkeys(VERTICAL_ROLES, "sigma_elevation_arcsec"),
     **{axis: f"sigma_{axis}_mm" for axis in COORDINATE_ROLES},
 }
-"""Role of the column of standard deviations that belongs to a column of readings or coordinates, by the role of the
-latter. The role of a column is its content, such as `azimuth`."""
+"""Role of a column of standard deviations, by the role of the column of readings or coordinates to which it belongs.
+The role of a column is its content, such as `azimuth`."""
 ROLE_BY_TITLE = {
     **{instrument + place: "station" for instrument in STATION_TITLE_FIRST_WORDS for place in STATION_TITLE_LAST_WORDS},
     **{

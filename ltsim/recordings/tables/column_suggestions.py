@@ -31,7 +31,8 @@ MAX_TRIED_ASSIGNMENTS = 20
 MAX_SAMPLE_CELLS = 100_000
 """Largest number of cells, in the first rows of a table, from which proposals are derived."""
 MAX_LENGTH_READ_AS_METRES = MIN_LONGEST_DISTANCE_MM
-"""Number below which the largest distance or coordinate is probably in metres, and otherwise in millimetres."""
+"""Limit of the largest distance or coordinate of a column without unit. Below it, the unit is probably the metre,
+otherwise the millimetre."""
 CellsByColumn = Sequence[tuple[str, ...]]
 """Cells of a table, column by column."""
 MAX_ANGLE_CHANGE_OF_REPEATS = Decimal("0.05")

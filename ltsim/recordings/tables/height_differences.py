@@ -36,10 +36,10 @@ MARK_TO_MARK_TITLES = (
 )
 """Titles, in the form of `normalised_title`, of height differences between the marks of station and target."""
 MAX_HALF_CIRCLE_DIFFERENCE = 0.02
-"""Largest difference [rad] from half a circle of two circle readings to one target at which they are in both faces; the
-axis errors of an instrument are far below it."""
+"""Limit of the difference [rad] from half a circle of two circle readings to one target. Below it, the readings were
+made in both faces; the axis errors of an instrument are far below it."""
 SHORTEST_DISTANCE = 1e-3
-"""Horizontal distance [m] that replaces shorter ones in the uncertainty of an elevation."""
+"""Horizontal distance [m] that replaces shorter distances in the uncertainty of an elevation."""
 
 
 @dataclass(frozen=True)

@@ -60,16 +60,16 @@ FULL_CIRCLE_DEG = 360
 QUARTER_CIRCLE_DEG = 90
 """Quarter of a circle in degrees."""
 MEDIAN_HEIGHT_RANGE_IN_METRES = (0.2, 3.0)
-"""Smallest and largest median of the heights above survey marks, as numbers without unit, for which the lengths of the
-table are in metres."""
+"""Smallest and largest median of heights above survey marks, as numbers without unit, in a table with lengths in
+metres."""
 PLAUSIBLE_HEIGHT_RANGES = (("m", 0.2, 5.0), ("mm", 100.0, 5000.0))
 """Unit, and smallest and largest plausible height above a survey mark in this unit; a number can fit only one unit."""
 MAX_AMBIGUOUS_DISTANCE_MM = 1000.0
-"""Number below which the longest distance of a table without unit may be in metres or millimetres, so that a hint is
-needed."""
+"""Limit of the longest distance of a table without unit. Below it, the unit may be the metre or the millimetre, so that
+a hint is needed."""
 MAX_COMMON_FRAME_DIFFERENCE_M = 2e-3
-"""Median distance [m] between the coordinates of a target from two set-ups, below which the coordinates are already in
-one common frame."""
+"""Limit of the median distance [m] between coordinates of a target from two set-ups. Below it, the coordinates are
+already in one common frame."""
 CONVERTED_COORDINATES_NOTE = (
     "coordinates in the axes of each set-up are converted to distance, azimuth and elevation; each row is used as one "
     "pointing with the declared noise, also if it is the mean of several readings"

@@ -17,8 +17,8 @@ MIN_PACKED_CELLS = 10
 """Smallest number of different angles in a column that can show packed angles: the decimals of all must be minutes and
 seconds below 60. By chance this is so for a decimal angle with a probability of 36 %, for ten with 4e-5."""
 MIN_PACKED_CELLS_FOR_QUESTION = 4
-"""Smallest number of different angles with minutes and seconds below 60 in their digits for which the user is
-asked whether they are packed angles. By chance this is so with a probability of 2 %."""
+"""Smallest number of different angles for which the user is asked whether they are packed (degrees, minutes and seconds
+as digits of one number). Random digits look like packed angles in so many cells with a probability of 2 %."""
 MIN_PACKED_DIGITS = 4
 """Smallest number of decimals of a packed angle, for minutes and seconds."""
 MIN_PACKED_INTEGER_DIGITS = 5

@@ -25,8 +25,8 @@ DigitTexts = NDArray[np.bytes_]
 ValueType = TypeVar("ValueType")
 """Type of the values in a list."""
 MAX_EXACT_FLOAT_PRODUCT = 2**51
-"""Magnitude below which a floating-point product is rounded to the correct integer; larger products are computed with
-integers of Python."""
+"""Limit of the magnitude of a floating-point product. Below it the product is rounded to the correct integer; larger
+products are computed with integers of Python."""
 MAX_ANGLE_SUM_DEG = 720.0
 """Largest magnitude [deg] of a sum of angles in a conversion; the integers of exact conversions need digits for it."""
 ROWS_PER_BATCH = 8192

@@ -313,13 +313,13 @@ def _unread_lines_notes(table: PointingTable) -> list[str]:
 
 
 MAX_TRACKER_RANGE_M = 160.0
-"""Range [m] above which the readings are from a total station, because data sheets of trackers give 80 to 160 m."""
+"""Limit of the range [m] of a tracker, because data sheets of trackers give 80 to 160 m. Longer ranges are from a total
+station."""
 MIN_LAST_DIGIT_OF_TOTAL_STATION_M = 0.5e-4
-"""Value [m] of the last digit of ranges from which on the readings are from a total station, because trackers give
-micrometres."""
+"""Smallest value [m] of the last digit of the ranges of a total station; trackers give micrometres."""
 MIN_DISPLAYED_LAST_DIGIT_M = 0.5e-9
-"""Value [m] of the last digit of ranges below which the digits come from a computation, not from the display of an
-instrument."""
+"""Smallest value [m] of the last digit of ranges that an instrument displayed; smaller digits come from a computation.
+"""
 
 MIN_RANGES_FOR_RESOLUTION = 6
 """Smallest number of ranges whose last digits show the resolution of the instrument; fewer may end in zeros by chance.

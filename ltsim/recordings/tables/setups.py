@@ -41,20 +41,21 @@ MIN_RECIPROCAL_LINES = 4
 """Smallest number of lines measured in both directions whose misclosures decide whether heights above survey marks are
 applied."""
 MAX_MISCLOSURE_RATIO_WITHOUT_TO_WITH_HEIGHTS = 0.5
-"""Ratio of the misclosure of lines measured in both directions without heights above survey marks to that with them,
-below which the heights are not applied. Correct heights would reduce the misclosure."""
+"""Limit of the misclosure of lines measured in both directions without heights above survey marks, divided by that with
+them. If the ratio is smaller, the heights are not applied, because correct heights would reduce the misclosure."""
 MIN_CIRCLE_ROTATION_BETWEEN_ROUNDS = 1e-3
-"""Median difference [rad] between the directions of two rounds to common targets, above which the circle was rotated.
-"""
-MIN_CIRCLE_ROTATION_SIGMAS = 6.0
-"""Median difference between the directions of two rounds to common targets, in standard deviations, above which the
+"""Limit of the median difference [rad] between the directions of two rounds to common targets. If it is exceeded, the
 circle was rotated."""
+MIN_CIRCLE_ROTATION_SIGMAS = 6.0
+"""Limit of the median difference between the directions of two rounds to common targets, in standard deviations. If it
+is exceeded, the circle was rotated."""
 MAX_MISCLOSURE_WITHOUT_HEIGHTS_M = 0.2
-"""Median height misclosure [m] of lines measured in both directions without heights above survey marks, above which the
-heights are applied. The curvature of the earth causes 0.2 m over 1.3 km."""
+"""Limit of the median height misclosure [m] of lines measured in both directions, without heights above survey marks.
+If it is exceeded, the heights are applied. The curvature of the earth causes 0.2 m over 1.3 km."""
 MAX_FORCED_CENTRING_MISCLOSURE_M = 0.02
-"""Median misclosure [m] of lines measured in both directions, below which tracker heads and reflectors were exchanged
-on a common forced centring. If they were set up separately over a survey mark, their heights differ by decimetres."""
+"""Limit of the median misclosure [m] of lines measured in both directions. Below it, tracker heads and reflectors were
+exchanged on a common forced centring. If they were set up separately over a survey mark, their heights differ by
+decimetres."""
 _TARGET_NAME_AFTER_STATION = re.compile(r"[\s._:/-]+(.+)")
 """Pattern of a target name after the name of its set-up: a separator, then group 1 ("P01" in "S1_P01")."""
 _TARGET_NAME_BEFORE_STATION = re.compile(r"(.+?)[\s._:/-]+")

@@ -12,12 +12,12 @@ from ltsim.recordings.spreadsheets.header import title_words_and_unit
 from ltsim.recordings.tables.pointing_table import PointingTable, distinct_with_indices
 
 MAX_RANGE_AND_ELEVATION_SPREAD_OF_SETUP = (0.1, 0.02)
-"""Median differences of the ranges [m] and of the elevations [rad] to one target, above which a table without station
-names has several set-ups. Reflectors, faces and drifts cause smaller differences, different positions larger ones (0.02
-rad is 0.1 m at 5 m)."""
+"""Limits of the median differences of the ranges [m] and of the elevations [rad] to one target. If they are exceeded, a
+table without station names has several set-ups. Reflectors, faces and drifts cause smaller differences, different
+positions larger ones (0.02 rad is 0.1 m at 5 m)."""
 MAX_SPREAD_RATIO_OF_STATION_COLUMN = 0.01
-"""Largest ratio with which a column is the column of set-up names. It is the median difference of readings to one
-target among rows with one text in the column, divided by that among all rows."""
+"""Limit of the median difference of readings to one target among rows with one text in a column, divided by that among
+all rows. If the ratio is smaller, the column contains the names of the set-ups."""
 MIN_ROWS_PER_SETUP = 3
 """Smallest mean number of rows for each different text of a column that may be the column of set-up names."""
 

@@ -21,14 +21,14 @@ more than the repeatability of a robot.
 MIN_ROWS_OF_MOVING_TARGET = 3
 """Smallest number of rows, and of different positions, with one target name that show a moving target."""
 MAX_COINCIDENT_DISTANCE_M = 1e-3
-"""Distance [m] between two targets below which they are one point, because reflectors have diameters of at least 12.7
-mm."""
+"""Limit of the distance [m] between two targets. Below it they are one point, because reflectors have diameters of at
+least 12.7 mm."""
 MIN_COINCIDENT_POSITIONS = 3
 """Smallest number of positions with several targets that a note reports."""
 MAX_COINCIDENT_NAMES_IN_NOTE = 4
 """Largest number of names of targets at one position in a note."""
 MOVING_TARGET_TEXT = "as a moving target gives (on a robot, a T-MAC)"
-"""Phrase on positions without point names."""
+"""Phrase that describes a table of positions without point names."""
 STATION_OF_POSITIONS_ADVICE = (
     "if one station measured them in its frame, name the station: --format table --hint station=NAME"
 )
@@ -109,7 +109,7 @@ def name_targets_by_position(table: PointingTable, readings: Floats) -> Pointing
 
 
 def _coincident_targets_notes(pointings: UnconvertedPointings, readings: Floats) -> list[str]:
-    """Note, in a list, on targets with different names at one position, as if each shot had a name; otherwise empty.
+    """Note, in a list, on targets at one position with different names (one name per shot); otherwise empty.
 
     `readings` (n, 3) are raw ranges, azimuths and elevations of n pointings [m, rad, rad].
     """

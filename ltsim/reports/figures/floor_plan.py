@@ -25,7 +25,7 @@ LABEL_DISTANCE_PT = 6.0
 LETTER_SIZE_RATIOS = (0.62, 1.25)
 """Width and height of a letter of a label, as fractions of the font size."""
 MIN_SIDE_RATIO_OF_VERTICAL_LABEL = 2.0
-"""Ratio of height to width of an area above which its label is vertical, because the area is too narrow for it."""
+"""Smallest ratio of height to width of an area with a vertical label; a horizontal one does not fit into it."""
 LABEL_BOX_SETTINGS = {"boxstyle": "square,pad=0", "facecolor": "#FFFFFFB0", "edgecolor": "none"}
 """Matplotlib settings of the box behind a label."""
 
@@ -90,9 +90,9 @@ TARGET_HEIGHT_CLASSES = (
 )
 """Classes of targets by height: upper limit [m] above the floor, marker, colour, name."""
 MAX_LABELLED_TARGETS = 60
-"""Number of targets above which a floor plan does not show the names of the targets."""
+"""Largest number of targets whose names are shown on a floor plan."""
 MAX_VECTOR_MARKERS = 150
-"""Number of targets above which their markers are rasterised."""
+"""Largest number of targets whose markers are drawn as vectors; the markers of more targets are rasterised."""
 MAX_LISTED_STATIONS = 16
 """Largest number of stations whose coordinates are listed below a floor plan."""
 MIN_STACKED_TARGETS_OF_SHORT_LABEL = 4
@@ -106,7 +106,7 @@ FLOOR_PLAN_HEIGHT_RANGE_INCH = (3.6, 6.6)
 LISTED_STATION_HEIGHT_INCH = 0.16
 """Additional height of the figure per listed station [inch]."""
 MAX_WALL_DISTANCE = 0.35
-"""Largest distance [m] of a target from a side of the floor at which the target is on the wall there."""
+"""Largest distance [m] of a target on a wall from the side of the floor there."""
 
 
 @style.with_figure_style

@@ -18,7 +18,7 @@ from ltsim.scene.floor import Floor
 MIN_MARKED_AREA_HALF_WIDTH = 0.015
 """Smallest half-width with which a marked area of the hall is drawn, as a fraction of the size of the hall."""
 MAX_MARKER_SHARING_DISTANCE = 0.04
-"""Distance below which two changes of reflectors share a marker, as a fraction of the size of the hall."""
+"""Largest distance between two changes of reflectors that share a marker, as a fraction of the size of the hall."""
 
 
 @style.with_figure_style

@@ -10,7 +10,8 @@ from ltsim.core.arrays import Floats
 MAX_TRIANGLES_PER_PATH = 5_000
 """Largest number of triangles that are drawn as one path; each path takes half a kilobyte."""
 MAX_VECTOR_TRIANGLES = 2_000
-"""Number of triangles of obstacles above which they are rasterised. As vectors each takes 200 bytes of a page."""
+"""Largest number of triangles of obstacles that are drawn as vectors of 200 bytes each; more triangles are rasterised.
+"""
 
 
 def draw_obstacles(ax: Axes, triangles: Floats) -> None:

@@ -124,13 +124,13 @@ TWO_FACE_COMPONENT_MARKERS = (
 )
 """Component of a two-face difference, with the colour and the form of its marker."""
 MAX_TARGETS_WITH_AXIS_NAMES = 40
-"""Number of targets above which their names are not written on the axis."""
+"""Largest number of targets whose names are written on the axis."""
 MAX_LEGEND_STATIONS = 8
 """Largest number of stations in a legend; only the first stations are listed."""
 MAX_LEGEND_NAME_LENGTH = 20
 """Largest length of the name of a station in a legend [characters]."""
 AXES_HEIGHT_FRACTION_BELOW_LEGEND = 0.86
-"""Fraction of the height of the axes that remains below a legend inside them."""
+"""Fraction of the height of the axes that stays free below a legend inside the axes."""
 
 
 @style.with_figure_style

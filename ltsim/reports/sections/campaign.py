@@ -58,7 +58,7 @@ if TYPE_CHECKING:
 MAX_DRAWN_TRIALS = 200_000
 """Largest number of trials in a figure; tables and intervals use all trials."""
 MAX_LISTED_LEVELS = 8
-"""Number of levels of a factor above which only the first and the last are listed."""
+"""Largest number of levels of a factor that are all listed; of more levels only the first and the last are listed."""
 MAX_SHOWN_SCENARIOS = 100
 """Largest number of combinations of factor levels (cells) whose scenarios a report contains; the manifest contains
 all."""
@@ -67,7 +67,8 @@ MAX_SHOWN_STATISTIC_ROWS = 5_000
 MAX_OPEN_BLOCKS = 4
 """Largest number of blocks of the section that the page shows open, and not only by their titles."""
 MAX_CELL_ROWS = 48
-"""Number of combinations of factor levels (cells) above which a table has a row per level of a factor, not per cell."""
+"""Largest number of combinations of factor levels (cells) with a table row for each cell. For more cells, the table has
+a row for each level of a factor."""
 SUMMARY_IMPROVEMENT_COLUMN = "distance_improvement_percent"
 """Result column whose mean the summary of a campaign reports: reduction by calibration [%] of the mean disagreement of
 the stations in distances between targets."""

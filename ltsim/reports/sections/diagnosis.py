@@ -66,7 +66,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MAX_MARKED_TARGETS = 12
-"""Number of targets of a finding above which they are not marked on the floor plan."""
+"""Largest number of targets of a finding that are marked on the floor plan."""
 MIN_REPORTED_TARGET_ERROR_UM = 0.1
 """Smallest error of targets [um] for which an undetectable effect is listed; smaller errors are negligible."""
 MIN_CURVE_POINTS = 3
@@ -322,7 +322,7 @@ def _undetectable_tables(content: Diagnosis) -> list[TableBlock]:
         "effect undetected_target_error_um detectable_at_factor"
     )
     cures = " or ".join(dict.fromkeys(u.cure for u in largest_first if u.cure))
-    note = "Poses, targets and instrument constants absorb these effects at a plausible worst-case size."
+    note = "Even at a plausible worst-case size, these effects are absorbed by poses, targets and instrument constants."
     note += f" Measurement that would detect these effects: {cures}." if cures else ""
     return table_blocks("Undetectable in this recording", table, note=note)
 

@@ -25,7 +25,8 @@ from ltsim.reports.formatting import capitalised_sentence, count_text, names_tex
 MAX_CAUSES_IN_ANSWER = 2
 """Largest number of findings in the answer; with verdict and next action it then has at most four sentences."""
 MIN_ADVISED_ALTERNATIVE_PROBABILITY = 0.05
-"""Smallest probability of an alternative cause for which a measurement to exclude it is advised; by convention 5 %."""
+"""Smallest probability of an alternative cause that leads to the advice of a measurement to exclude it; by convention 5
+%."""
 MAX_ACTIONS_BEFORE_USE = 2
 """Largest number of next actions in addition to the use of the coordinates."""
 PLACE_COVARIATE = "place"

@@ -24,8 +24,8 @@ COMPARED_STATISTIC_TEXTS = {
 """Name for users of each error by which methods may be compared, by column. The first column that a campaign has is
 used."""
 MAX_COMPARED_CELLS = 48
-"""Number of combinations of factor levels (cells) above which methods are not compared, since each takes two queries
-per method."""
+"""Largest number of combinations of factor levels (cells) in a comparison of methods, since each takes two queries per
+method."""
 
 
 @dataclass(frozen=True)

@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 EntryBetweenCalibrationsT = TypeVar("EntryBetweenCalibrationsT", ChangeEntry, EventEntry)
 """Type variable of an entry (change or event between two calibrations) of the history of an instrument."""
 MIN_GOOD_PASS_PROBABILITY = 0.5
-"""Smallest probability (0 to 1) to pass all tests at which a prediction is assessed as good; by convention one half."""
+"""Smallest probability (0 to 1) to pass all tests of a prediction that is assessed as good; by convention one half."""
 ASSESSMENT_BY_JUDGEMENT: dict[Judgement, Assessment] = {"accepted": "good", "rejected": "bad", "undecided": "caution"}
 """Assessment of measured errors by their judgement."""
 MAX_NEGLIGIBLE_CONSTANT = 1e-6
@@ -62,8 +62,8 @@ UNCERTAINTY_NOTE = (
 )
 """Note below a table of expanded uncertainties, which explains the columns U and mc."""
 UNDETECTABLE_NOTE = (
-    "Each size is one standard deviation. The readings do not show these errors, and U does not include them. "
-    "Measure a known length or the temperature of the structure to exclude them."
+    "Each size is one standard deviation. Errors that leave no residuals are not included in U. "
+    "Measure a known length or the temperature of the structure to exclude such errors."
 )
 """Note below a table of undetectable errors."""
 MAX_BUDGET_BARS = 40
