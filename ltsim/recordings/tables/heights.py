@@ -124,4 +124,4 @@ def _reciprocal_misclosures(
         rows_by_line.setdefault(lines[row], []).append(row)
     mean = {line: np.mean(quantities[of_line], axis=0) for line, of_line in rows_by_line.items()}
     closures = [mean[a, b] + np.multiply(signs, mean[b, a]) for a, b in mean if a < b and (b, a) in mean]
-    return np.abs(np.array(closures)).reshape(-1, len(signs))
+    return np.asarray(np.abs(np.array(closures)).reshape(-1, len(signs)))
