@@ -160,11 +160,7 @@ def _write_result(result_file: ResultFile, path: Path, recording: Recording | No
         case Plan():
             write_plan(result_file, path)
         case ResultFile():
-            from ltsim.reports.schemas import COMPANION_TABLES_BY_RESULT_FILE  # which takes half a second
-
-            named = {table.file for table in COMPANION_TABLES_BY_RESULT_FILE.get(result_file.FILE, ())}
-            tables = [result_file.table(name) for name in result_file._table_makers()]
-            write_result(path, result_file, {table.file: table.csv_text() for table in tables if table.file in named})
+            write_result(path, result_file)
         case _:
             raise ModelError(
                 f"a {type(result_file).__name__} cannot be written; expected a recording, a calibration or other result"

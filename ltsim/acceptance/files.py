@@ -144,6 +144,7 @@ class AcceptanceFile(ResultFile):
     """Result of `accept`, with the content of `accept.json`."""
 
     FILE: ClassVar[str] = "accept.json"
+    COMPANION_TABLES: ClassVar[Mapping[str, Table]] = {"tests": TESTS_TABLE}
     format: Literal["ltsim-accept/1"] = "ltsim-accept/1"
     """Format and version of this file."""
     title: str = ""

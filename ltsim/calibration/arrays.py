@@ -9,8 +9,15 @@ from functools import cached_property
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.coordinate_uncertainty import COVARIANCE_FILE_NAME, POINTS_COVARIANCE_FILE_NAME
 from ltsim.adjustment.prior import WIDENED_PRIOR_SIGMA_FACTOR
-from ltsim.calibration.schema import OBSERVABLE_DISPLAY_UNITS, RESIDUALS_TABLE, TARGETS_TABLE, ParameterEntry
+from ltsim.calibration.schema import (
+    COORDINATE_COLUMNS,
+    OBSERVABLE_DISPLAY_UNITS,
+    RESIDUALS_TABLE,
+    TARGETS_TABLE,
+    ParameterEntry,
+)
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.equality import ValueEquality
 from ltsim.core.errors import ModelError, RecordError, unknown_name_error
@@ -19,6 +26,13 @@ from ltsim.core.units import MILLIMETRE, SI_PER_UNIT, permitted_units_text
 from ltsim.physics.model.construction import GeometricErrorModel, construction_for_parameters
 from ltsim.recordings.files import safe_excerpt
 from ltsim.recordings.recording import OBSERVABLES
+
+POINTS_TABLE = Table(
+    "points.csv", "adjusted targets and stations; undetermined ones have no row or no height", COORDINATE_COLUMNS
+)
+"""Table of the adjusted targets and stations."""
+NETWORK_FILE_NAMES = (COVARIANCE_FILE_NAME, POINTS_TABLE.file, POINTS_COVARIANCE_FILE_NAME)
+"""Names of the files with the joint covariance of an adjusted network, and with its targets and stations."""
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,13 @@ from pydantic import BeforeValidator, Field, PrivateAttr, field_serializer, mode
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.evaluation.criteria import CriteriaEntry
 from ltsim.adjustment.identification.cause_tests import CauseTest
-from ltsim.calibration.arrays import CalibrationArrays, arrays_from_file_rows, residuals_table, targets_table
+from ltsim.calibration.arrays import (
+    NETWORK_FILE_NAMES,
+    CalibrationArrays,
+    arrays_from_file_rows,
+    residuals_table,
+    targets_table,
+)
 from ltsim.calibration.combinations import DeterminedEntry, UndeterminedEntry
 from ltsim.calibration.evidence import determined_combinations, estimates_with_plausible_priors, harmonic_entries
 from ltsim.calibration.schema import (
@@ -22,7 +28,9 @@ from ltsim.calibration.schema import (
     PARAMETERS_TABLE,
     REFERENCE_VALUES_TABLE,
     REFLECTOR_INCIDENCE_TABLE,
+    RESIDUALS_TABLE,
     STATIONS_TABLE,
+    TARGETS_TABLE,
     AxesEntry,
     FitEntry,
     FittedEffectEntry,
@@ -36,7 +44,7 @@ from ltsim.calibration.schema import (
     StationPose,
     VerdictEntry,
 )
-from ltsim.calibration.uncertainty import UncertaintyEntry, uncertainty_sentences
+from ltsim.calibration.uncertainty import UncertaintyEntry, is_noise_estimated, uncertainty_sentences
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import RecordError
 from ltsim.core.probability import p_value_relation_text, two_sided_p_value
@@ -53,21 +61,11 @@ EntryT = TypeVar("EntryT", DeterminedEntry, HarmonicEntry)
 MAX_SIGMA_TO_PRIOR_SIGMA_RATIO = 0.975
 """Largest ratio of posterior to prior standard deviation of a parameter that counts as determined. At this ratio the
 readings removed 5 % of the prior variance (0.975 squared is 0.95)."""
-MAX_ESTIMATED_NOISE_FRACTION_FOR_GLOBAL_TEST = 0.9
-"""Limit of the fraction of the redundancy with estimated noise. If it is exceeded, the global test is not valid,
-because the estimation of the noise makes chi-square equal to the redundancy."""
-
-
 FIELDS_NOT_COPIED = frozenset(
     ("format", "files", "construction_name", "parameters", "parameter_covariance", "harmonics", "determined",
      "noise_estimated")
 )  # fmt: skip
 """Names of the fields that a changed copy does not take over: computed from arrays, or set when a file is written."""
-
-
-def _none_if_empty(value: Any) -> Any:
-    """Value of a field of `calibration.json`, with None in place of an empty object."""
-    return value or None
 
 
 class Calibration(UncertaintyEntry, ResultFile):
@@ -77,6 +75,8 @@ class Calibration(UncertaintyEntry, ResultFile):
     """
 
     FILE: ClassVar[str] = "calibration.json"
+    COMPANION_TABLES: ClassVar[Mapping[str, Table]] = {"targets": TARGETS_TABLE, "residuals": RESIDUALS_TABLE}
+    FURTHER_FILES: ClassVar[tuple[str, ...]] = NETWORK_FILE_NAMES
     format: Literal["ltsim-calibration/1"] = "ltsim-calibration/1"
     """Name and version of the file format."""
     method: str = "network"
@@ -99,7 +99,7 @@ class Calibration(UncertaintyEntry, ResultFile):
     """Combinations of parameters that the recording determines far better than the parameters themselves."""
     stations: tuple[StationPose, ...] = ()
     """Adjusted poses of the stations."""
-    criteria: Annotated[CriteriaEntry | None, BeforeValidator(_none_if_empty)] = None
+    criteria: Annotated[CriteriaEntry | None, BeforeValidator(lambda value: value or None)] = None
     """Disagreement of the stations in distances and coordinates, before and after calibration; null for one station."""
     outliers: tuple[OutlierRow, ...] = ()
     """Outlying readings."""
@@ -161,7 +161,7 @@ class Calibration(UncertaintyEntry, ResultFile):
             "parameter_covariance": (arrays.covariance / np.outer(factors, factors)).tolist(),
             "harmonics": _entries_per_instrument(arrays, harmonic_entries),
             "determined": _entries_per_instrument(arrays, determined_combinations, prior),
-            "noise_estimated": _is_noise_estimated(fields["noise"]),
+            "noise_estimated": is_noise_estimated(fields["noise"]),
         }
         result = cls(**fields, **derived_fields)
         result._arrays = arrays
@@ -391,10 +391,3 @@ def _entries_per_instrument(
         entries = make_entries(parameters, values, covariance)
         flat_entries += [entry.model_copy(update={"instrument": name}) if several else entry for entry in entries]
     return tuple(flat_entries)
-
-
-def _is_noise_estimated(noise: Sequence[NoiseRow]) -> bool:
-    """True if most of the noise was estimated from the residuals, so that the global test is not valid."""
-    redundancy = sum(n.redundancy for n in noise)
-    redundancy_estimated = sum(n.redundancy for n in noise if n.factor_sigma is not None)
-    return redundancy_estimated > MAX_ESTIMATED_NOISE_FRACTION_FOR_GLOBAL_TEST * redundancy

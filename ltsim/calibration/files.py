@@ -12,24 +12,18 @@ from ltsim.adjustment.coordinate_uncertainty import (
     named_covariance_csv_text,
     point_names,
 )
-from ltsim.calibration.arrays import arrays_from_file_rows
+from ltsim.calibration.arrays import POINTS_TABLE, arrays_from_file_rows
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.reported_uncertainty import point_covariance
-from ltsim.calibration.schema import COORDINATE_COLUMNS, RESIDUALS_TABLE, TARGETS_TABLE
+from ltsim.calibration.schema import TARGETS_TABLE
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError, RecordError, unknown_name_error
 from ltsim.core.notation import names_text
-from ltsim.core.results import Table
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.recordings.files import read_text, safe_excerpt
 from ltsim.recordings.result_file import read_result, write_result
 
-POINTS_TABLE = Table(
-    "points.csv", "adjusted targets and stations; undetermined ones have no row or no height", COORDINATE_COLUMNS
-)
-POINT_FILE_NAMES = (POINTS_TABLE.file, POINTS_COVARIANCE_FILE_NAME)
-"""Names of the files with targets and stations and with their joint covariance."""
 CalibrationSource = Calibration | str | Path
 """Calibration, or path of its file or of the folder with this file."""
 
@@ -45,12 +39,9 @@ def write_calibration(calibration: Calibration, folder: Path, *, with_stations: 
     RecordError
         If the folder cannot be written; no partial files remain.
     """
-    texts = {TARGETS_TABLE.file: calibration.table("targets").csv_text()}
-    if calibration.adjustment is not None:
-        texts[RESIDUALS_TABLE.file] = calibration.table("residuals").csv_text()
-        covariance = point_covariance(calibration)
-        if covariance is not None:
-            texts[COVARIANCE_FILE_NAME] = named_covariance_csv_text(calibration.target_names, covariance)
+    texts: dict[str, str] = {}
+    if calibration.adjustment is not None and (covariance := point_covariance(calibration)) is not None:
+        texts[COVARIANCE_FILE_NAME] = named_covariance_csv_text(calibration.target_names, covariance)
     if with_stations:
         texts |= _point_file_texts(calibration)
     return write_result(folder, calibration, texts)

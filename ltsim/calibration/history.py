@@ -101,6 +101,7 @@ class History(ResultFile):
     """History of an instrument: result of `history`, with the content of `history.json`."""
 
     FILE: ClassVar[str] = "history.json"
+    FURTHER_FILES: ClassVar[tuple[str, ...]] = ("history.svg",)
     format: Literal["ltsim-history/1"] = "ltsim-history/1"
     """Name and version of the file format."""
     construction: str = ""

@@ -1,9 +1,15 @@
 """Entries and sentences on the errors that the standard deviations of a calibration do or do not include."""
 
+from collections.abc import Sequence
 from typing import Protocol
 
+from ltsim.calibration.schema import NoiseRow
 from ltsim.core.notation import number_text
 from ltsim.recordings.result_file import Entry, NotNegative, Positive
+
+MAX_ESTIMATED_NOISE_FRACTION_FOR_GLOBAL_TEST = 0.9
+"""Limit of the fraction of the redundancy with estimated noise. If it is exceeded, the global test is not valid,
+because the estimation of the noise makes chi-square equal to the redundancy."""
 
 
 class HiddenError(Entry):
@@ -78,3 +84,10 @@ def uncertainty_sentences(result: ReportedUncertainty) -> list[str]:
             f"not include them: {sizes}."
         )
     return sentences
+
+
+def is_noise_estimated(noise: Sequence[NoiseRow]) -> bool:
+    """True if most of the noise was estimated from the residuals, so that the global test is not valid."""
+    redundancy = sum(n.redundancy for n in noise)
+    redundancy_estimated = sum(n.redundancy for n in noise if n.factor_sigma is not None)
+    return redundancy_estimated > MAX_ESTIMATED_NOISE_FRACTION_FOR_GLOBAL_TEST * redundancy

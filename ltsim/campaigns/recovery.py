@@ -67,6 +67,7 @@ class Recovery(ResultFile):
     """Result of `recover`, with the content of `recovery.json`."""
 
     FILE: ClassVar[str] = "recovery.json"
+    COMPANION_TABLES: ClassVar[Mapping[str, Table]] = {"trials": TRIALS_TABLE}
     format: Literal["ltsim-recovery/1"] = "ltsim-recovery/1"
     """Format and version of this file."""
     passed: bool

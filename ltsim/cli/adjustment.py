@@ -202,18 +202,11 @@ def _run_estimation(
     Without --force each command replaces only earlier results of the same command. `options` are keyword arguments of
     the estimator. With `with_stations` the files of targets and stations are written too.
     """
-    from ltsim.adjustment.coordinate_uncertainty import COVARIANCE_FILE_NAME
     from ltsim.calibration.calibration import Calibration
-    from ltsim.calibration.files import POINT_FILE_NAMES, write_calibration
-    from ltsim.calibration.schema import RESIDUALS_TABLE, TARGETS_TABLE
+    from ltsim.calibration.files import write_calibration
 
     is_adjustment = estimator is lt.adjust
-    companion_names = (TARGETS_TABLE.file, COVARIANCE_FILE_NAME, RESIDUALS_TABLE.file, *POINT_FILE_NAMES)
-    terminal.check_overwrite(
-        Calibration,
-        *companion_names,
-        is_of_same_command=lambda result: (result.method == "adjustment") == is_adjustment,
-    )
+    terminal.check_overwrite(Calibration, lambda result: (result.method == "adjustment") == is_adjustment)
     recording = reading_options.read_and_report(source, terminal)
     with terminal.show_progress("adjusting" if is_adjustment else "calibrating"):
         result = estimator(recording, **options)
@@ -271,9 +264,9 @@ def diagnose(
     Example: ltsim diagnose my-recording --out my-diagnosis && ltsim report my-diagnosis
     """
     from ltsim.diagnosis.diagnosis import Diagnosis
-    from ltsim.diagnosis.files import COMPANION_FILE_NAMES, write_diagnosis
+    from ltsim.diagnosis.files import write_diagnosis
 
-    terminal.check_overwrite(Diagnosis, *COMPANION_FILE_NAMES)
+    terminal.check_overwrite(Diagnosis)
     recording = reading_options.read_and_report(source, terminal)
     with terminal.show_progress("diagnosing"):
         diagnosis = lt.diagnose(recording, held_out=held_out, **options.arguments())
@@ -321,7 +314,7 @@ def history(
     from ltsim.calibration.history import History
     from ltsim.reports.sections import result_section
 
-    terminal.check_overwrite(History, "history.svg")
+    terminal.check_overwrite(History)
     source_by_label: dict[str, Calibration | Recording] = {}
     for source in sources:
         source_by_label |= _calibrations_or_recordings(terminal, source, reading_options, each_set_up=each_set_up)

@@ -306,15 +306,14 @@ def recover(
     """
     from ltsim.campaigns.recovery import Recovery
     from ltsim.campaigns.recovery_checks import RECOVERY_FALSE_ALARM_RATE
-    from ltsim.campaigns.recovery_trials import TRIALS_TABLE
 
-    terminal.check_overwrite(Recovery, TRIALS_TABLE.file)
+    terminal.check_overwrite(Recovery)
     workers = (
         (1 if options.trials < MIN_TRIALS_FOR_SEVERAL_PROCESSES else os.cpu_count() or 1) if jobs is None else jobs
     )
     with terminal.show_progress("trials", options.trials) as step:
         result = lt.recover(scenario, progress=step, jobs=workers, **options.arguments())
-    result = terminal.write_result(result, lambda: {TRIALS_TABLE.file: result.table("trials").csv_text()})
+    result = terminal.write_result(result)
     if junit is not None:
         write_text(junit, with_digest_comment(junit_xml(result, str(scenario))))
     terminal.print_json(result.content())

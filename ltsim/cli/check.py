@@ -62,10 +62,9 @@ def check(
 
     Example: ltsim check my-recording --mpe 20,6 --out my-check
     """
-    from ltsim.adjustment.fieldcheck import Check, write_check
-    from ltsim.adjustment.fieldcheck.result import TWO_FACE_TABLE
+    from ltsim.adjustment.fieldcheck import Check
 
-    terminal.check_overwrite(Check, TWO_FACE_TABLE.file, "check.svg")
+    terminal.check_overwrite(Check)
     mpe_limit = parse_mpe(mpe)
 
     def run_check() -> Check:
@@ -77,10 +76,13 @@ def check(
     recording = reading_options.read_and_report(source, terminal)
     with terminal.show_progress("checking"):
         result = lt.check(recording, mpe=mpe_limit, **options.arguments())
-    if terminal.out is not None:
+
+    def check_picture() -> dict[str, str]:
         from ltsim.reports.style import svg_text  # most checks draw nothing
 
-        result = write_check(result, terminal.out, {"check.svg": svg_text(result.plot())})
+        return {"check.svg": svg_text(result.plot())}
+
+    result = terminal.write_result(result, check_picture)
     terminal.print_result(result)
     return 0 if result.passed else 1
 
@@ -173,16 +175,16 @@ def accept(
     Example: ltsim accept my-tracker.toml --out acceptance
     """
     if show:
-        print(example_file_content("acceptance.toml"), end="")
+        terminal.print_always(example_file_content("acceptance.toml"))
         return 0
     if file is None:
         raise InputError("ltsim accept needs a FILE; ltsim accept --show prints a template")
-    from ltsim.acceptance.files import TESTS_TABLE, AcceptanceFile
+    from ltsim.acceptance.files import AcceptanceFile
 
-    terminal.check_overwrite(AcceptanceFile, TESTS_TABLE.file)
+    terminal.check_overwrite(AcceptanceFile)
     with terminal.show_progress("evaluating the tests"):
         content = lt.accept(file)
-    content = terminal.write_result(content, lambda: {TESTS_TABLE.file: content.table("tests").csv_text()})
+    content = terminal.write_result(content)
     terminal.print_result(content)
     return int(content.judgement not in (None, "accepted"))
 
@@ -241,10 +243,10 @@ def compare(
 
     Example: ltsim compare january march --stable P1,P2,P3 --out my-comparison
     """
-    from ltsim.measurands.comparison import DISPLACEMENTS_TABLE, Comparison
+    from ltsim.measurands.comparison import Comparison
     from ltsim.recordings.coordinates import is_coordinate_file
 
-    terminal.check_overwrite(Comparison, DISPLACEMENTS_TABLE.file)
+    terminal.check_overwrite(Comparison)
     has_coordinate_lists = is_coordinate_file(source) or is_coordinate_file(second)
     first, later = (
         _coordinates_or_path(p, terminal, requires_sigmas=False)
@@ -254,7 +256,7 @@ def compare(
     )
     with terminal.show_progress("comparing"):
         comparison = lt.compare(first, later, **options.arguments())
-    comparison = terminal.write_result(comparison, lambda: {DISPLACEMENTS_TABLE.file: comparison.table().csv_text()})
+    comparison = terminal.write_result(comparison)
     terminal.print_result(comparison)
     return int(bool(comparison.moved_points))
 
@@ -294,16 +296,16 @@ def uncertainty(
     Example: ltsim uncertainty flange.toml --out my-uncertainty
     """
     if show:
-        print(example_file_content("uncertainty.toml"), end="")
+        terminal.print_always(example_file_content("uncertainty.toml"))
         return 0
     if file is None:
         raise InputError("ltsim uncertainty needs a FILE; ltsim uncertainty --show prints a template")
     from ltsim.measurands.spec import load_tasks
-    from ltsim.measurands.uncertainty import BUDGET_TABLE, RESULTS_TABLE, Uncertainty, normalised_errors_of_files
+    from ltsim.measurands.uncertainty import Uncertainty, normalised_errors_of_files
     from ltsim.recordings.result_file import read_result
     from ltsim.reports.sections import result_section
 
-    terminal.check_overwrite(Uncertainty, RESULTS_TABLE.file, BUDGET_TABLE.file)
+    terminal.check_overwrite(Uncertainty)
     tasks = load_tasks(file)
     if source is not None:
         tasks = tasks.model_copy(update={"source": source})
@@ -312,8 +314,7 @@ def uncertainty(
     with terminal.show_progress("drawing trials"):
         content = lt.uncertainty(recording, tasks, **options.arguments())
     comparison = None if against is None else normalised_errors_of_files(content, read_result(against, Uncertainty))
-    tables = [content.table(name) for name in ("results", "budget")]
-    content = terminal.write_result(content, lambda: {table.file: table.csv_text() for table in tables})
+    content = terminal.write_result(content)
     json_content = content.content()
     if comparison is not None:
         json_content["against"] = [{"result": name, "E_n": value} for name, value in comparison]

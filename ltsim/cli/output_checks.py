@@ -93,20 +93,19 @@ def _result_file_names() -> set[str]:
 def check_overwrite(
     folder: Path | None,
     model: type[ResultFile],
-    names: Iterable[str] = (),
     *,
     force: bool,
     is_of_same_command: Callable[[Any], bool] = lambda result: True,
 ) -> None:
     """Check that a result and its companion files replace only an older result of the same command.
 
-    Raises RecordError. `model` is the class of the result, `names` are those of the companion files. The folder (None
-    for no output) must be new, empty or contain only folders and files written by ltsim; `force` permits any content.
+    Raises RecordError. `model` is the class of the result. The folder (None for no output) must be new, empty or
+    contain only folders and files written by ltsim; `force` permits any content.
     If several commands write the same file, `is_of_same_command` returns True for an existing result of this command.
     """
     if folder is None:
         return
-    existing_names = _existing_file_names(folder, (model.FILE, *names))
+    existing_names = _existing_file_names(folder, (model.FILE, *model.companion_file_names()))
     if force:
         return
     if existing_names:

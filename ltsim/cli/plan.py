@@ -61,12 +61,6 @@ BlockedStationOption = Annotated[
 ]
 BEST_LAYOUT_SO_FAR_FILE = "best-so-far.toml"
 """Name of the scenario file with the best layout so far, which exists only while a search runs."""
-FLOOR_PLAN_FILE = "floor.png"
-"""Name of the picture file with the floor plan."""
-TRADE_OFF_FILE = "tradeoff.png"
-"""Name of the picture file with the trade-off curve: objective of the layout against duration of the measurement."""
-WORK_ORDER_FILE = "work-order.html"
-"""Name of the HTML file with the work order for the shop floor."""
 
 
 @dataclass(frozen=True)
@@ -117,14 +111,13 @@ def plan(
     Example: ltsim plan paper-workshop --out my-plan
     """
     from ltsim.planning.loading import builtin_plan_names, builtin_plan_text
-    from ltsim.planning.proposals import PROPOSALS_TABLE, NextMeasurement
+    from ltsim.planning.proposals import NextMeasurement
     from ltsim.planning.result import Plan
-    from ltsim.planning.tables import PLAN_TABLES
 
     if after is not None:
         if source is not None:
             raise InputError("ltsim plan needs either FILE or --after REC, not both")
-        check_overwrite(out, NextMeasurement, (PROPOSALS_TABLE.file,), force=force)
+        check_overwrite(out, NextMeasurement, force=force)
         return _propose_next_measurement(terminal, reading_options.read(after), _parse_effect_names(between), site, out)
     if between is not None:
         raise InputError("--between needs --after REC, the recording that several effects explain")
@@ -145,12 +138,7 @@ def plan(
         return _print_station_alternatives(terminal, source, lt.station_alternatives(source, without))
     writes_no_files = terminal.as_json or bool(moved_stations)
     folder = out if out is not None or writes_no_files else Path(f"plan-{Path(source).stem}")
-    check_overwrite(
-        folder,
-        Plan,
-        (*(table.file for table in PLAN_TABLES), "scenario.toml", FLOOR_PLAN_FILE, TRADE_OFF_FILE, WORK_ORDER_FILE),
-        force=force,
-    )
+    check_overwrite(folder, Plan, force=force)
     if moved_stations:
         with terminal.show_progress("evaluating the layout"):
             plan_result = lt.plan(source, move=moved_stations)
@@ -230,7 +218,7 @@ def _search_plan(terminal: Terminal, source: str, folder: Path | None, search_op
 
 def _write_and_print_plan(terminal: Terminal, plan_result: Plan, folder: Path | None) -> None:
     """Output of a plan on the terminal and, if a folder is given, as files with tables, pictures and work order."""
-    from ltsim.planning.result import write_plan
+    from ltsim.planning.result import WORK_ORDER_FILE, write_plan
 
     with terminal.show_progress("writing tables, pictures and the work order"):
         content = write_plan(plan_result, folder, {} if folder is None else _work_order_and_picture_files(plan_result))
@@ -248,6 +236,7 @@ def _write_and_print_plan(terminal: Terminal, plan_result: Plan, folder: Path | 
 
 def _work_order_and_picture_files(plan_result: Plan) -> dict[str, bytes]:
     """Contents of the work order page and of the pictures (floor plan, trade-off curve), by file name."""
+    from ltsim.planning.result import FLOOR_PLAN_FILE, TRADE_OFF_FILE, WORK_ORDER_FILE
     from ltsim.reports.figures.parameters import trade_off_figure
     from ltsim.reports.style import png_bytes
     from ltsim.reports.work_order_page import work_order_page
@@ -323,6 +312,5 @@ def _propose_next_measurement(
         )
     content = content.model_copy(update={"diagnosis": summary})
     if result_folder is not None:
-        table = content.table()
-        content = write_result(result_folder, content, {table.file: table.csv_text()})
+        content = write_result(result_folder, content)
     terminal.print_result(content, result_folder)

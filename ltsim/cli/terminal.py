@@ -237,7 +237,6 @@ class ResultFolderTerminal(Terminal):
     def check_overwrite(
         self,
         model: type[ResultFile],
-        *companion_names: str,
         is_of_same_command: Callable[[Any], bool] = lambda result: True,
     ) -> None:
         """Check that a result and its companion files would replace only older results of the same command.
@@ -245,19 +244,19 @@ class ResultFolderTerminal(Terminal):
         `model` is the class of the result. If several commands write the same kind of file, `is_of_same_command`
         returns True for an existing result of this command. Raises RecordError.
         """
-        check_overwrite(self.out, model, companion_names, force=self.force, is_of_same_command=is_of_same_command)
+        check_overwrite(self.out, model, force=self.force, is_of_same_command=is_of_same_command)
 
     def write_result(
-        self, content: ResultFileType, companion_contents: Callable[[], Mapping[str, str | bytes]] = dict
+        self, content: ResultFileType, further_files: Callable[[], Mapping[str, str | bytes]] = dict
     ) -> ResultFileType:
         """Result that contains the digests of its companion files, after all were written to the folder of `--out`.
 
-        Without a folder it is the given result. `companion_contents` returns the contents of the companion files by
-        name.
+        Without a folder it is the given result. `further_files` returns the contents, by name, of the files other than
+        the tables of the result.
         """
         from ltsim.recordings.result_file import write_result
 
-        return content if self.out is None else write_result(self.out, content, companion_contents())
+        return content if self.out is None else write_result(self.out, content, further_files())
 
     def print_result(self, content: ResultFile, result_folder: Path | None = None, notes: Iterable[str] = ()) -> None:
         """Output of a result, and of the folder to which it was written."""

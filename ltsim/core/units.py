@@ -21,6 +21,8 @@ DEGREE = math.pi / 180
 """Degree [rad]."""
 GON = math.pi / 200
 """Gon [rad]."""
+CENTESIMAL_SECOND = GON * 1e-4
+"""Size [rad] of the unit cc, which is 1e-4 gon."""
 QUARTER_TURN = 0.5 * math.pi
 """Quarter of a full turn [rad]."""
 PPM = 1e-6
@@ -39,7 +41,7 @@ SI_PER_UNIT = MappingProxyType(
         "urad": MICRORADIAN,
         "mrad": 1e-3,
         "arcsec": ARCSECOND,
-        "cc": GON * 1e-4,
+        "cc": CENTESIMAL_SECOND,
         "mgon": GON * 1e-3,
         "deg": DEGREE,
         "gon": GON,

@@ -10,13 +10,15 @@ from pydantic import PrivateAttr
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.identification.cause_tests import CauseTest
-from ltsim.calibration.arrays import residuals_table
+from ltsim.calibration.arrays import NETWORK_FILE_NAMES, residuals_table
+from ltsim.calibration.schema import RESIDUALS_TABLE
 from ltsim.core.arrays import Floats
 from ltsim.core.equality import ValueEquality
 from ltsim.core.errors import ModelError
 from ltsim.core.results import Table
 from ltsim.core.units import MILLIMETRE
 from ltsim.diagnosis.schema import (
+    BASELINE_RESIDUALS_TABLE,
     DETECTABLE_TABLE,
     DIAGNOSED_TARGETS_TABLE,
     FINDINGS_TABLE,
@@ -32,6 +34,7 @@ from ltsim.diagnosis.schema import (
 )
 from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.laws.law import EmpiricalLaw
+from ltsim.recordings.native import OBSERVATIONS_FILE, SETUP_FILE
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.references import ReferenceLengths
 from ltsim.recordings.result_file import ResultFile
@@ -77,10 +80,23 @@ class DiagnosisArrays(ValueEquality):
     """Adjustment with the findings in its model."""
 
 
+RECORDING_FOLDER_NAME = "recording"
+"""Name of the folder with the recording, within the folder of a diagnosis."""
+
+
 class Diagnosis(ResultFile):
     """Result of `diagnose`, with the content of `diagnosis.json`."""
 
     FILE: ClassVar[str] = "diagnosis.json"
+    COMPANION_TABLES: ClassVar[Mapping[str, Table]] = {
+        "targets": DIAGNOSED_TARGETS_TABLE,
+        "residuals": RESIDUALS_TABLE,
+        "residuals_before": BASELINE_RESIDUALS_TABLE,
+    }
+    FURTHER_FILES: ClassVar[tuple[str, ...]] = (
+        *NETWORK_FILE_NAMES,
+        *(f"{RECORDING_FOLDER_NAME}/{name}" for name in (OBSERVATIONS_FILE, SETUP_FILE)),
+    )
     format: Literal["ltsim-diagnosis/1"] = "ltsim-diagnosis/1"
     """Format and version of the file `diagnosis.json`."""
     verdict: str

@@ -11,27 +11,12 @@ from ltsim.adjustment.coordinate_uncertainty import (
     point_names,
     reported_joint_covariance,
 )
-from ltsim.calibration.files import POINT_FILE_NAMES, point_file_texts
-from ltsim.calibration.schema import RESIDUALS_TABLE
+from ltsim.calibration.files import point_file_texts
 from ltsim.core.errors import ModelError
-from ltsim.diagnosis.diagnosis import Diagnosis
-from ltsim.diagnosis.schema import BASELINE_RESIDUALS_TABLE, DIAGNOSED_TARGETS_TABLE
-from ltsim.recordings.native import OBSERVATIONS_FILE, SETUP_FILE, recording_texts
+from ltsim.diagnosis.diagnosis import RECORDING_FOLDER_NAME, Diagnosis
+from ltsim.recordings.native import recording_texts
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import write_result
-
-RECORDING_FOLDER_NAME = "recording"
-"""Name of the folder with the recording, within the folder of a diagnosis."""
-COMPANION_FILE_NAMES = (
-    DIAGNOSED_TARGETS_TABLE.file,
-    COVARIANCE_FILE_NAME,
-    RESIDUALS_TABLE.file,
-    BASELINE_RESIDUALS_TABLE.file,
-    *POINT_FILE_NAMES,
-    f"{RECORDING_FOLDER_NAME}/{OBSERVATIONS_FILE}",
-    f"{RECORDING_FOLDER_NAME}/{SETUP_FILE}",
-)
-"""Paths, within the folder of a diagnosis, of the files that are written with `diagnosis.json`."""
 
 
 def write_diagnosis(
@@ -51,11 +36,7 @@ def write_diagnosis(
     ModelError
         When targets and stations are too many for a file with their joint covariance.
     """
-    texts = {
-        DIAGNOSED_TARGETS_TABLE.file: diagnosis.table("targets").csv_text(),
-        RESIDUALS_TABLE.file: diagnosis.table("residuals").csv_text(),
-        BASELINE_RESIDUALS_TABLE.file: diagnosis.table("residuals_before").csv_text(),
-    }
+    texts: dict[str, str] = {}
     adjustment, targets = diagnosis.final_adjustment, diagnosis.targets
     if len(adjustment.recording.targets) <= MAX_POINTS_IN_COVARIANCE_FILE:
         covariance = reported_joint_covariance(adjustment, targets.weighted_deviations_by_explanation)

@@ -89,6 +89,7 @@ class Comparison(ResultFile):
     """Result of `compare`, the content of `comparison.json`; `recording` is the recording of the first epoch."""
 
     FILE: ClassVar[str] = "comparison.json"
+    COMPANION_TABLES: ClassVar[Mapping[str, Table]] = {"displacements": DISPLACEMENTS_TABLE}
     format: Literal["ltsim-comparison/1"] = "ltsim-comparison/1"
     """Format and version of this file."""
     second_recording: ResultSource | None

@@ -193,6 +193,7 @@ class Uncertainty(ResultFile):
     """Result of `uncertainty`, the content of `uncertainty.json`: results of tasks with their uncertainty."""
 
     FILE: ClassVar[str] = "uncertainty.json"
+    COMPANION_TABLES: ClassVar[Mapping[str, Table]] = {"results": RESULTS_TABLE, "budget": BUDGET_TABLE}
     format: Literal["ltsim-uncertainty/1"] = "ltsim-uncertainty/1"
     """Format and version of this file."""
     title: str

@@ -105,6 +105,7 @@ class NextMeasurement(ResultFile):
     """Result of `next_measurement` (`ltsim plan --after`), the content of `next.json`."""
 
     FILE: ClassVar[str] = "next.json"
+    COMPANION_TABLES: ClassVar[Mapping[str, Table]] = {"proposals": PROPOSALS_TABLE}
     format: Literal["ltsim-next/1"] = "ltsim-next/1"
     """Format and version of this file."""
     diagnosis: str = ""

@@ -39,12 +39,24 @@ COORDINATE_FRAME_TEXT = (
     "counter-clockwise from x"
 )
 """Description of the coordinate system of all coordinates in a plan, for users."""
+SCENARIO_FILE_NAME = "scenario.toml"
+"""Name of the scenario file with the plan's stations, in the plan's folder."""
+PLAN_FILE_NAME = "plan.toml"
+"""Name of the plan file that the interactive planner saves in the folder of a plan."""
+FLOOR_PLAN_FILE = "floor.png"
+"""Name of the picture file with the floor plan."""
+TRADE_OFF_FILE = "tradeoff.png"
+"""Name of the picture file with the trade-off curve: objective of the layout against duration of the measurement."""
+WORK_ORDER_FILE = "work-order.html"
+"""Name of the HTML file with the work order for the shop floor."""
 
 
 class Plan(ResultFile, PlannedLayoutEntry):
     """Result of planning (`ltsim plan`), the content of `plan.json`: planned layout, reasons, comparisons, settings."""
 
     FILE: ClassVar[str] = "plan.json"
+    COMPANION_TABLES: ClassVar[Mapping[str, Table]] = {table.name: table for table in tables.PLAN_TABLES}
+    FURTHER_FILES: ClassVar[tuple[str, ...]] = (SCENARIO_FILE_NAME, FLOOR_PLAN_FILE, TRADE_OFF_FILE, WORK_ORDER_FILE)
     format: Literal["ltsim-plan-result/1"] = "ltsim-plan-result/1"
     """Format and version of this file."""
     title: str = ""
@@ -229,10 +241,11 @@ def write_plan(plan: Plan, folder: Path | None, pictures: Mapping[str, bytes] | 
     if folder is None:
         return plan
     network = plan.network
-    companions = [plan.table(name) for name in plan._table_makers()]
-    companions += [tables.make_visibility_table(network.layout), tables.make_work_order_table(network)]
+    network_tables = tables.make_visibility_table(network.layout), tables.make_work_order_table(network)
     scenario, cad = with_cad_file_copies(scenario_of_plan(network))
-    texts = {table.file: table.csv_text() for table in companions} | {SCENARIO_FILE_NAME: scenario_to_toml(scenario)}
+    texts = {table.file: table.csv_text() for table in network_tables} | {
+        SCENARIO_FILE_NAME: scenario_to_toml(scenario)
+    }
     return write_result(folder, plan, {**texts, **cad, **(pictures or {})})
 
 
@@ -255,12 +268,6 @@ def _all_settings(plan_file: PlanFile) -> PlanFile:
     if not plan_file.gives_min_stations_per_target:
         values["stations"].pop("min_stations_per_target")
     return PlanFile.model_validate(values)
-
-
-SCENARIO_FILE_NAME = "scenario.toml"
-"""Name of the scenario file with the plan's stations, in the plan's folder."""
-PLAN_FILE_NAME = "plan.toml"
-"""Name of the plan file that the interactive planner saves in the folder of a plan."""
 
 
 def scenario_of_plan(plan: PlannedNetwork) -> Scenario:

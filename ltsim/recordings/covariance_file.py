@@ -6,7 +6,6 @@ table. Rows are converted one by one, because a number takes 60 bytes as text an
 
 import csv
 import io
-import re
 from collections.abc import Iterator, Sequence
 from itertools import zip_longest
 from pathlib import Path
@@ -17,7 +16,8 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import MAX_TEXT_LINES, require_small_joint_covariance
 from ltsim.core.notation import unescape_cell_text
-from ltsim.recordings.files import MAX_NUMBER_TEXT_LENGTH, SourceLocation, read_text, safe_excerpt, with_unix_line_ends
+from ltsim.recordings.files import SourceLocation, read_text, safe_excerpt, with_unix_line_ends
+from ltsim.recordings.spreadsheets.cells import plain_numbers
 
 MAX_COVARIANCE_ASYMMETRY = 1e-6
 """Largest difference of entries ij and ji of an accepted covariance matrix, relative to the largest variance."""
@@ -26,8 +26,6 @@ MATRIX_FIELD_SEPARATORS = ",;\t"
 MAX_NUMBER_MAGNITUDE = 1e12
 """Largest magnitude of numbers in a row that are converted together; a row with a larger number is checked cell by
 cell."""
-_NUMBER_CHARACTERS_PATTERN = re.compile("[0-9.+eE -]*", re.ASCII)
-"""Pattern of the characters of decimal numbers that blanks separate."""
 
 
 def read_covariance_matrix(path: Path, coordinate_names: Sequence[str]) -> Floats:
@@ -82,14 +80,7 @@ def _numbered_csv_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
 
 def _parse_numbers(texts: Sequence[str], location: SourceLocation) -> Floats:
     """Numbers (n,) of the n texts of a row; raises RecordError."""
-    if max(map(len, texts), default=0) <= MAX_NUMBER_TEXT_LENGTH and _NUMBER_CHARACTERS_PATTERN.fullmatch(
-        " ".join(texts)
-    ):
-        try:
-            numbers = np.array(list(map(float, texts)))
-        except ValueError:
-            pass
-        else:
-            if (np.abs(numbers) <= MAX_NUMBER_MAGNITUDE).all():
-                return numbers
+    numbers = plain_numbers(texts)
+    if numbers is not None and (np.abs(numbers) <= MAX_NUMBER_MAGNITUDE).all():
+        return numbers
     return np.array(list(map(location.parse_number, texts)))

@@ -1,15 +1,14 @@
 """Reading and writing of recordings (observations with their set-up) in all supported file formats."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 
 from pydantic import ValidationError
 
 from ltsim.core.errors import RecordError, unknown_name_error
-from ltsim.core.notation import names_text
-from ltsim.recordings import coordinates, native
+from ltsim.recordings import native
 from ltsim.recordings.conventions import (
     NO_HINTS,
     Hints,
@@ -17,25 +16,23 @@ from ltsim.recordings.conventions import (
     vertical_sight_notes,
 )
 from ltsim.recordings.face_units import face_unit_warnings
-from ltsim.recordings.files import read_file_beginning, safe_excerpt, with_unix_line_ends
-from ltsim.recordings.formats import cern_lgc, gama, gama_writer, gsi, openindy, polar_text, sdr, spatialanalyzer
+from ltsim.recordings.files import read_file_beginning, with_unix_line_ends
+from ltsim.recordings.formats import (
+    cern_lgc,
+    gama,
+    gama_writer,
+    gsi,
+    openindy,
+    point_list,
+    polar_text,
+    sdr,
+    spatialanalyzer,
+)
 from ltsim.recordings.formats.unsupported import UNSUPPORTED_FORMATS
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.settings import validation_sentence
 from ltsim.recordings.setup import Setup
-from ltsim.recordings.spreadsheets.cells import has_time_of_day, is_numeric
 from ltsim.recordings.tables import reader as tables
-from ltsim.recordings.tables.pose_titles import (
-    MIN_ADDITIONAL_COLUMNS_OF_POSES,
-    are_row_numbers,
-    titles_of_joints_or_rotations,
-)
-from ltsim.recordings.tables.station_names import UnrecognisedStationColumnError
-from ltsim.recordings.tables.unnamed_targets import (
-    MOVING_TARGET_TEXT,
-    STATION_OF_POSITIONS_ADVICE,
-    UnnamedTargetsError,
-)
 from ltsim.recordings.times import time_unit_questions
 
 RecordingSource = Recording | str | Path
@@ -46,18 +43,6 @@ MAX_NOTES_PER_FILE = 100
 """Largest number of notes of a reader on one file; without this limit a file of unknown keywords could cause 200,000
 notes.
 """
-MIN_ROWS_SHOWING_MOVING_TARGET = 2
-"""Smallest number of rows, with a name used before and different coordinates, that shows a moving target instead of a
-list of points. The number must also be at least the number of different names."""
-TRIAL_STATION_NAME = "S1"
-"""Station name for a test whether a list of coordinates can be read as the positions that one station measured."""
-MAX_REPEATED_POINT_DISTANCE_M = 1e-3
-"""Largest distance [m] between repeated measurements of one point, given as rows with one name; rows with a larger
-distance contradict each other."""
-NATIVE_FORMAT_DESCRIPTION = "folder with observations.csv and setup.toml"
-POLAR_TEXT_FORMAT_DESCRIPTION = "plain text: station, target, azimuth, zenith or elevation, distance"
-POINT_LIST_FORMAT_DESCRIPTION = "names and coordinates, which are not a recording"
-TABLE_FORMAT_DESCRIPTION = "delimited text with a header, a folder with one file per station, or a workbook"
 
 
 WriteFunction = Callable[[Recording, Path], None]
@@ -86,81 +71,50 @@ def _make_format(
     module: ModuleType,
     name: str,
     description: str,
-    *suffixes: str,
+    suffixes: str,
+    *,
     write: WriteFunction | None = None,
     has_signature: bool = False,
 ) -> FileFormat:
     """File format that is implemented by the functions `recognises` and `read` of `module`.
 
-    `name` and `description` are for users; `suffixes` of file names and `has_signature` help to recognise the format.
-    `write` is None for a format that is only read.
+    `name` and `description` are for users; `suffixes` of file names, separated by blanks, and `has_signature` help to
+    recognise the format. `write` is None for a format that is only read.
     """
-    return FileFormat(name, description, suffixes, module.recognises, module.read, write, has_signature)
-
-
-def _is_list_of_points(path: Path, file_beginning: str) -> bool:
-    """True if the file is a list of points (names with coordinates), not a recording."""
-    return path.is_file() and not file_beginning.startswith(("<", "PK")) and coordinates.is_point_list(file_beginning)
-
-
-def _refuse_point_list(path: Path, hints: Hints) -> Recording:
-    """RecordError for a list of points, which is not a recording; the function always raises an error."""
-    point_list = coordinates.read_points(path, refuses_contradictions=False)
-    n_points, n_repeated = len(point_list.names), point_list.n_contradictory_rows
-    if n_repeated:
-        for station in (None, TRIAL_STATION_NAME):
-            try:
-                tables.read(path, replace(hints, station=station))
-            except (UnrecognisedStationColumnError, UnnamedTargetsError):
-                raise
-            except RecordError:
-                pass  # it is no table of several set-ups
-    names = "one name" if n_points == 1 else f"{n_points} names"
-    titles = list(point_list.additional_columns)
-    is_numbered = are_row_numbers(point_list.names) and len(titles) >= MIN_ADDITIONAL_COLUMNS_OF_POSES
-    if all(has_time_of_day(name) or (is_numeric(name) and not name.isdigit()) for name in point_list.names) or (
-        is_numbered
-    ):
-        message = f"this is a table of {n_points + n_repeated} positions without point names, {MOVING_TARGET_TEXT}; it "
-        message += "is not a list of points"
-    elif pose_titles := titles_of_joints_or_rotations(titles):
-        first_name, titles_text = safe_excerpt(point_list.names[0]), names_text([*map(safe_excerpt, pose_titles)])
-        message = f"this is a table of {n_points + n_repeated} poses ('{first_name}') with the angles of joints or "
-        message += f"rotations {titles_text}, {MOVING_TARGET_TEXT}; it is not a list of points"
-    elif n_repeated and point_list.max_repeated_point_distance_m < MAX_REPEATED_POINT_DISTANCE_M:
-        message = f"this is a list of {n_points} points in {n_points + n_repeated} rows, without instrument readings"
-    elif n_repeated >= max(n_points, MIN_ROWS_SHOWING_MOVING_TARGET):
-        rows = f"{n_points + n_repeated} positions under {names} ('{point_list.names[0]}')"
-        message = f"this is a table of {rows}, {MOVING_TARGET_TEXT}; it is not a list of points"
-    else:
-        message = f"this is a list of {n_points} points without instrument readings (nominal or reference coordinates)"
-    raise RecordError(f"{message} ({STATION_OF_POSITIONS_ADVICE})", file=path)
+    return FileFormat(name, description, tuple(suffixes.split()), module.recognises, module.read, write, has_signature)
 
 
 FORMATS: tuple[FileFormat, ...] = (
     FileFormat(
         "native",
-        NATIVE_FORMAT_DESCRIPTION,
+        "folder with observations.csv and setup.toml",
         ("", ".csv"),
         native.recognises,
         native.read_recording,
         native.write_recording,
     ),
     _make_format(
-        spatialanalyzer, "spatialanalyzer", "SpatialAnalyzer instrument report (CompositeReport)", ".csv", ".txt"
+        spatialanalyzer, "spatialanalyzer", "SpatialAnalyzer instrument report (CompositeReport)", ".csv .txt"
     ),
-    _make_format(cern_lgc, "cern-lgc", "input file of CERN's LGC", ".lgc", ".lgc2"),
-    _make_format(gama, "gama-local", "input file of GNU Gama", ".gkf", ".xml", write=gama_writer.write),
+    _make_format(cern_lgc, "cern-lgc", "input file of CERN's LGC", ".lgc .lgc2"),
+    _make_format(gama, "gama-local", "input file of GNU Gama", ".gkf .xml", write=gama_writer.write),
     _make_format(openindy, "openindy", "OpenIndy project", ".xml"),
     _make_format(gsi, "gsi", "Leica GSI-8 and GSI-16", ".gsi", has_signature=True),
     _make_format(sdr, "sdr", "Sokkia SDR20 and SDR33", ".sdr", has_signature=True),
     _make_format(
-        polar_text, "polar-text", POLAR_TEXT_FORMAT_DESCRIPTION, ".txt", ".dat", ".asc", write=polar_text.write
+        polar_text,
+        "polar-text",
+        "plain text: station, target, azimuth, zenith or elevation, distance",
+        ".txt .dat .asc",
+        write=polar_text.write,
     ),
-    FileFormat(
-        "point-list", POINT_LIST_FORMAT_DESCRIPTION, (".txt", ".xyz", ".csv"), _is_list_of_points, _refuse_point_list
+    _make_format(point_list, "point-list", "names and coordinates, which are not a recording", ".txt .xyz .csv"),
+    _make_format(
+        tables,
+        "table",
+        "delimited text with a header, a folder with one file per station, or a workbook",
+        ".csv .tsv .txt .xlsx",
     ),
-    _make_format(tables, "table", TABLE_FORMAT_DESCRIPTION, ".csv", ".tsv", ".txt", ".xlsx"),
 )
 """Supported formats, in the order in which a file is tested for them."""
 

@@ -17,8 +17,6 @@ from ltsim.core.notation import escape_cell_text, unescape_cell_text
 from ltsim.core.units import DEGREE, MILLIMETRE, SI_PER_UNIT, UNIT_BY_SPELLING
 from ltsim.recordings.conventions import NO_HINTS, Hints
 from ltsim.recordings.files import (
-    MAX_NUMBER_TEXT_LENGTH,
-    NUMBER_PATTERN,
     SourceLocation,
     is_not_finite,
     is_number,
@@ -41,6 +39,7 @@ from ltsim.recordings.reflectors import excess_radii, smr_names
 from ltsim.recordings.settings import read_setup, setup_to_toml, validate_setup
 from ltsim.recordings.setup import Setup
 from ltsim.recordings.specification import keys_deviating_from_data_sheet
+from ltsim.recordings.spreadsheets.cells import plain_numbers
 from ltsim.recordings.spreadsheets.sheets import SheetRow, is_table_folder
 from ltsim.recordings.transcription_errors import require_degrees_and_millimetres
 
@@ -218,19 +217,18 @@ def _integer_column(column: list[str], location: SourceLocation, bounds: tuple[i
 def _float_column(column: list[str], location: SourceLocation, *, is_optional: bool = True) -> Floats:
     """Numbers (n,) in n cells, within `COLUMN_VALUE_BOUNDS`; an empty cell is NaN if `is_optional`, else an error."""
     low, high = COLUMN_VALUE_BOUNDS.get(location.column or "", (-1e15, 1e15))
+    numbers = plain_numbers(column)
+    if numbers is not None and np.all(((numbers >= low) & (numbers <= high)) | (is_optional & np.isnan(numbers))):
+        return numbers
     numbers = np.full(len(column), np.nan)
-    filled_rows = [i for i, text in enumerate(column) if text or not is_optional]
-    texts = [column[i] for i in filled_rows]
-    if max(map(len, texts), default=0) <= MAX_NUMBER_TEXT_LENGTH and all(map(NUMBER_PATTERN.fullmatch, texts)):
-        numbers[filled_rows] = list(map(float, texts))
-        if np.all((numbers[filled_rows] >= low) & (numbers[filled_rows] <= high)):
-            return numbers
-    for i in filled_rows:  # to name the first that is wrong
+    for i, text in enumerate(column):  # to name the first that is wrong
+        if is_optional and not text:
+            continue
         cell = replace(location, row=i + 1)
-        numbers[i] = cell.parse_number(column[i], limit=1e15)
+        numbers[i] = cell.parse_number(text, limit=1e15)
         if not low <= numbers[i] <= high:
             hint = " (it looks like gon)" if location.column == "elevation_deg" and 270 < numbers[i] < 400 else ""
-            raise cell.error(f"found {safe_excerpt(column[i])}, expected a value from {low:g} to {high:g}{hint}")
+            raise cell.error(f"found {safe_excerpt(text)}, expected a value from {low:g} to {high:g}{hint}")
     return numbers
 
 

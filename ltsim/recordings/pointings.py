@@ -1,5 +1,6 @@
 """Assembly of a recording from pointings, or single observations, that the reader of another format collects."""
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
@@ -74,6 +75,16 @@ def numbered_name(name: str, n_earlier: int) -> str:
     `n_earlier` is the number of earlier items with this name.
     """
     return f"{name}#{n_earlier + 1}" if n_earlier else name
+
+
+def numbered_names(names: Iterable[str]) -> list[str]:
+    """Unique names of items with given `names`; repeated names get numbers."""
+    counts: Counter[str] = Counter()
+    unique_names = []
+    for name in names:
+        unique_names.append(numbered_name(name, counts[name]))
+        counts[name] += 1
+    return unique_names
 
 
 def index_names(names: Iterable[str], kind: str, file: object) -> tuple[tuple[str, ...], Ints]:

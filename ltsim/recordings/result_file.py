@@ -13,6 +13,7 @@ import math
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Self, TypeVar
 
 import numpy as np
@@ -37,7 +38,7 @@ from ltsim.core.limits import (
     MAX_RESULT_TEXT_CHARACTERS,
     MAX_RESULT_TEXTS,
 )
-from ltsim.core.results import MAX_RESULT_MAGNITUDE, Result
+from ltsim.core.results import MAX_RESULT_MAGNITUDE, Result, Table
 from ltsim.recordings.epoch_coordinates import EpochCoordinates
 from ltsim.recordings.files import read_bytes, read_text, safe_excerpt, write_texts
 from ltsim.recordings.recording import Recording
@@ -150,13 +151,16 @@ class ResultSource(Entry):
 class ResultFile(Entry, Result):
     """Base model of results: the object that a public function returns, which is also the content of its JSON file.
 
-    Subclasses set `FILE`, the name of the file, and `format`; `MAX_TEXTS` is the largest number of texts, lists and
-    objects together in a file that is read. If `SHARES_EQUAL_OBJECTS` is true, equal objects of a file are read as the
-    same dictionary. Arrays that the file does not contain are in private attributes, which the comparison of results
-    ignores.
+    Subclasses set `FILE`, the name of the file, and `format`. `COMPANION_TABLES` are the tables that are written with
+    the file, by name of the table, and `FURTHER_FILES` the names of other files that a command may write with it, such
+    as a picture. `MAX_TEXTS` is the largest number of texts, lists and objects together in a file that is read. If
+    `SHARES_EQUAL_OBJECTS` is true, equal objects of a file are read as the same dictionary. Arrays that the file does
+    not contain are in private attributes, which the comparison of results ignores.
     """
 
     FILE: ClassVar[str]
+    COMPANION_TABLES: ClassVar[Mapping[str, Table]] = MappingProxyType({})
+    FURTHER_FILES: ClassVar[tuple[str, ...]] = ()
     MAX_TEXTS: ClassVar[int] = MAX_RESULT_TEXTS
     SHARES_EQUAL_OBJECTS: ClassVar[bool] = False
     format: str
@@ -183,6 +187,16 @@ class ResultFile(Entry, Result):
         stream = io.StringIO()
         json.dump(self.content(), stream, indent=1, allow_nan=False)  # `dumps` would hold each part as an object
         return stream.getvalue() + "\n"
+
+    @classmethod
+    def companion_file_names(cls) -> tuple[str, ...]:
+        """Names of all files that may be written with the JSON file: tables and other files."""
+        return (*(table.file for table in cls.COMPANION_TABLES.values()), *cls.FURTHER_FILES)
+
+    def companion_table_texts(self) -> dict[str, str]:
+        """Contents of the tables that are written with the JSON file, by file name, as far as the result has them."""
+        names = [name for name in self._table_makers() if name in self.COMPANION_TABLES]
+        return {self.COMPANION_TABLES[name].file: self.table(name).csv_text() for name in names}
 
     def is_unchanged_companion(self, folder: Path, name: str) -> bool:
         """True if the companion file `name` (a table) in `folder` has the digest that this result contains for it.
@@ -216,12 +230,15 @@ ResultFileType = TypeVar("ResultFileType", bound=ResultFile)
 """Type of a result."""
 
 
-def write_result(folder: Path, result: ResultFileType, companions: Mapping[str, str | bytes]) -> ResultFileType:
+def write_result(
+    folder: Path, result: ResultFileType, further_files: Mapping[str, str | bytes] = MappingProxyType({})
+) -> ResultFileType:
     """Copy of `result` with the digests of its companion files, after writing all its files into `folder`.
 
-    `companions` are the contents of the companion files, such as tables, by file name. Raises RecordError if the folder
-    is not writable; no incomplete files remain.
+    The companion files are the tables of the result and `further_files`, contents by file name. Raises RecordError if
+    the folder is not writable; no incomplete files remain.
     """
+    companions = {**result.companion_table_texts(), **further_files}
     digests = {name: _digest(t.encode() if isinstance(t, str) else t) for name, t in companions.items()}
     written = result.model_copy(update={"files": digests})
     write_texts(folder, {**companions, result.FILE: written.text()})

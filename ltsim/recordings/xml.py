@@ -18,8 +18,6 @@ from ltsim.core.errors import RecordError
 from ltsim.core.limits import (
     MAX_COVARIANCE_VALUES,
     MAX_TAG_ATTRIBUTES,
-    MAX_WORKBOOK_ELEMENTS,
-    MAX_WORKBOOK_ROW_CELLS,
     MAX_XML_ATTRIBUTES,
     MAX_XML_DEPTH,
     MAX_XML_TAGS,
@@ -40,7 +38,7 @@ class _LineNumberBuilder(TreeBuilder):
     def __init__(self, file: Path) -> None:
         super().__init__()
         self.parser: Any = None
-        self._depth = _DepthCheck(file)
+        self._depth = DepthCheck(file)
 
     def start(self, tag: Any, attrs: Any, /) -> Element:
         self._depth.start(tag, attrs)
@@ -51,13 +49,14 @@ class _LineNumberBuilder(TreeBuilder):
         return super().end(tag)
 
 
-class _DepthCheck:
+class DepthCheck:
     """Parser target that builds no tree, and raises RecordError for elements nested deeper than `MAX_XML_DEPTH`."""
 
     def __init__(self, file: Path) -> None:
         self._file, self._depth = file, 0
 
     def start(self, _tag: Any, _attributes: Any) -> None:
+        """Beginning of an element, called by the parser; raises RecordError for one nested too deeply."""
         self._depth += 1
         if self._depth > MAX_XML_DEPTH:
             raise RecordError(
@@ -65,32 +64,11 @@ class _DepthCheck:
             )
 
     def end(self, _tag: Any) -> None:
+        """End of an element, called by the parser."""
         self._depth -= 1
 
     def close(self) -> None:
         """End of the file, called by the parser; no tree was built, so nothing is returned."""
-
-
-class _WorkbookCheck(_DepthCheck):
-    """Parser target that limits the numbers of elements, and of cells in a row, of a workbook; raises RecordError.
-
-    The library that reads workbooks would hold all of them in memory.
-    """
-
-    def __init__(self, file: Path) -> None:
-        super().__init__(file)
-        self.n_elements = self._n_cells = 0
-
-    def start(self, tag: Any, attributes: Any) -> None:
-        super().start(tag, attributes)
-        name = str(tag).rpartition("}")[2]
-        self.n_elements += 1
-        self._n_cells = 0 if name == "row" else self._n_cells + (name == "c")
-        if self.n_elements > MAX_WORKBOOK_ELEMENTS or self._n_cells > MAX_WORKBOOK_ROW_CELLS:
-            most = f"{MAX_WORKBOOK_ELEMENTS} XML elements, or {MAX_WORKBOOK_ROW_CELLS} cells in a row"
-            raise RecordError(
-                f"the file holds more than {most}, the limit for reading; save the table as CSV", file=self._file
-            )
 
 
 def check_tag_attributes(content: bytes, file: Path) -> None:
@@ -102,19 +80,6 @@ def check_tag_attributes(content: bytes, file: Path) -> None:
         raise RecordError(
             f"the file holds a tag with more than {MAX_TAG_ATTRIBUTES} attributes, the limit for reading", file=file
         )
-
-
-def check_workbook_xml(content: bytes, file: Path) -> None:
-    """Check of an XML part of a workbook (entities, encoding, numbers of elements, depth) before a library parses it.
-
-    Raises RecordError, or ParseError if the text is not well formed.
-    """
-    if b"\x00" in content:
-        raise RecordError("the file contains a part that is not UTF-8", file=file)
-    check_tag_attributes(content, file)
-    parser = DefusedXMLParser(target=_WorkbookCheck(file))
-    parser.feed(content)
-    parser.close()
 
 
 def parse_xml(path: Path) -> XmlNode:

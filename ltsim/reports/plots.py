@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from ltsim.calibration.history import History
     from ltsim.campaigns.calibration_comparison import HeldOutPointErrors
     from ltsim.campaigns.recovery import Recovery
-    from ltsim.campaigns.results import PairedDifferences
+    from ltsim.campaigns.results import CampaignResults, PairedDifferences
     from ltsim.core.results import Result
     from ltsim.diagnosis.diagnosis import Diagnosis
     from ltsim.measurands.uncertainty import Uncertainty
@@ -36,11 +36,6 @@ MAX_DRAWN_PROPOSALS = 12
 """Largest number of proposed measurements in a figure."""
 FigureFunction = Callable[[Any], "Figure"]
 """Function that draws the figure of a result."""
-FIGURE_FUNCTION_BY_CLASS: dict[str, FigureFunction] = {}
-"""Function that draws the figure of a result, by the module and name of the class of the result.
-
-The classes are named and not imported: one result needs neither the packages nor the import time of the others.
-"""
 
 
 def figure_of(result: Result) -> Figure:
@@ -49,64 +44,37 @@ def figure_of(result: Result) -> Figure:
         draw = FIGURE_FUNCTION_BY_CLASS.get(f"{kind.__module__}.{kind.__qualname__}")
         if draw is not None:
             return draw(result)
-    if type(result).__module__ == "ltsim.campaigns.results":
-        from ltsim.reports.sections.campaign import campaign_figure
-
-        return campaign_figure(cast(Any, result))
     raise ModelError(f"a {type(result).__name__} has no figure")
 
 
-def _register_figure_function(class_path: str) -> Callable[[FigureFunction], FigureFunction]:
-    """Decorator that registers the function that draws results of the class `class_path` (module and name)."""
-
-    def register(draw: FigureFunction) -> FigureFunction:
-        FIGURE_FUNCTION_BY_CLASS[class_path] = draw
-        return draw
-
-    return register
-
-
-FIGURE_FUNCTION_BY_CLASS |= {
-    "ltsim.adjustment.fieldcheck.result.Check": lambda result: figures.points.field_check_figure(result),
-    "ltsim.measurands.comparison.Comparison": lambda result: figures.points.displacement_figure(result),
-    "ltsim.acceptance.files.AcceptanceFile": lambda result: figures.points.error_to_limit_figure(result),
-}
-
-
-@_register_figure_function("ltsim.simulation.scenario.Scenario")
 def _scenario_figure(result: Scenario) -> Figure:
     from ltsim.reports.workshop_scene import workshop_from_scenario
 
     return figures.floor_plan.floor_plan(workshop_from_scenario(result))
 
 
-@_register_figure_function("ltsim.recordings.recording.Recording")
 def _recording_figure(result: Recording) -> Figure:
     from ltsim.reports.workshop_scene import workshop_from_recording
 
     return figures.floor_plan.floor_plan(workshop_from_recording(result))
 
 
-@_register_figure_function("ltsim.reports.verbs.View")
 def _view_figure(result: View) -> Figure:
     return figures.floor_plan.floor_plan(result.workshop)
 
 
-@_register_figure_function("ltsim.adjustment.adjustment.Adjustment")
 def _adjustment_figure(result: Adjustment) -> Figure:
     from ltsim.reports.residuals import Residuals
 
     return figures.residuals.residuals_by_station_figure(Residuals.from_adjustment(result))
 
 
-@_register_figure_function("ltsim.measurands.uncertainty.Uncertainty")
 def _uncertainty_figure(result: Uncertainty) -> Figure:
     from ltsim.reports.sections.simple_sections import uncertainty_budget_figure
 
     return uncertainty_budget_figure(result)
 
 
-@_register_figure_function("ltsim.calibration.calibration.Calibration")
 def _calibration_figure(result: Calibration) -> Figure:
     if result.instrument_parameter_names:
         return figures.parameters.parameter_estimates_figure(result.parameters)
@@ -115,14 +83,12 @@ def _calibration_figure(result: Calibration) -> Figure:
     return figure_of(result.adjustment)
 
 
-@_register_figure_function("ltsim.adjustment.evaluation.criteria.Criteria")
 def _criteria_figure(result: Criteria) -> Figure:
     if result.distance.after is None:
         raise ModelError("criteria without a calibration have no figure; call evaluate with a calibration")
     return figures.parameters.criteria_before_after_figure(result.table())
 
 
-@_register_figure_function("ltsim.diagnosis.diagnosis.Diagnosis")
 def _diagnosis_figure(result: Diagnosis) -> Figure:
     """Figure of a diagnosis: curve or residuals of the first finding; without findings, the residuals."""
     from ltsim.reports.residuals import Residuals
@@ -136,14 +102,12 @@ def _diagnosis_figure(result: Diagnosis) -> Figure:
     return figures.residuals.residuals_by_covariate_figure(after)
 
 
-@_register_figure_function("ltsim.calibration.history.History")
 def _history_figure(result: History) -> Figure:
     if not result.determined_parameters:
         raise ModelError("no parameter of these calibrations is determined; there is no figure")
     return figures.parameters.parameter_history_figure(result.labels, result.determined_parameters)
 
 
-@_register_figure_function("ltsim.planning.result.Plan")
 def _plan_figure(result: Plan) -> Figure:
     """Figure of a plan: the floor with the chosen layout, as in floor.png of a plan's folder."""
     from ltsim.planning.result import scenario_of_plan
@@ -155,7 +119,6 @@ def _plan_figure(result: Plan) -> Figure:
     )
 
 
-@_register_figure_function("ltsim.adjustment.evaluation.bench.BenchFile")
 def _bench_test_figure(result: BenchFile) -> Figure:
     """Figure of a bench test: the reflector's range error with two sigmas, and the measured lengths."""
     lines = {
@@ -170,7 +133,6 @@ def _bench_test_figure(result: BenchFile) -> Figure:
     )
 
 
-@_register_figure_function("ltsim.simulation.injector.DetectionCurve")
 def _detection_curve_figure(result: DetectionCurve) -> Figure:
     """Figure of a detection curve: fractions of detected, located and named injections, with 95 % intervals."""
     lines = {
@@ -181,7 +143,6 @@ def _detection_curve_figure(result: DetectionCurve) -> Figure:
     return figures.parameters.lines_with_intervals_figure(strengths, lines, "noncentrality", "share, 95 % interval")
 
 
-@_register_figure_function("ltsim.campaigns.recovery.Recovery")
 def _recovery_figure(result: Recovery) -> Figure:
     """Figure of a recovery: errors of each parameter divided by the declared sigmas, or by their rms without sigmas."""
     trials = result.arrays
@@ -198,13 +159,11 @@ def _recovery_figure(result: Recovery) -> Figure:
     )
 
 
-@_register_figure_function("ltsim.planning.proposals.NextMeasurement")
 def _next_measurement_figure(result: NextMeasurement) -> Figure:
     shares = {p.action: (100 * (1 - p.remaining_sigma_fraction),) * 3 for p in result.proposals[:MAX_DRAWN_PROPOSALS]}
     return figures.parameters.values_with_intervals_figure(shares, "sigmas of the instrument's parameters fall by [%]")
 
 
-@_register_figure_function("ltsim.campaigns.calibration_comparison.HeldOutPointErrors")
 def _held_out_point_errors_figure(result: HeldOutPointErrors) -> Figure:
     example = next(iter(result.errors_by_calibration.values()))
     rows = {name: (error.calibrated_rms / MICROMETRE,) * 3 for name, error in result.errors_by_calibration.items()}
@@ -215,7 +174,6 @@ def _held_out_point_errors_figure(result: HeldOutPointErrors) -> Figure:
     return figures.parameters.values_with_intervals_figure(rows, "error of a new point [um]", reference_values=ends)
 
 
-@_register_figure_function("ltsim.campaigns.results.PairedDifferences")
 def _paired_differences_figure(result: PairedDifferences) -> Figure:
     rows = {
         ", ".join([e.statistic, *(f"{name} {value}" for name, value in e.shared_levels.items())]): (
@@ -232,3 +190,37 @@ def _paired_differences_figure(result: PairedDifferences) -> Figure:
         f"{first.first_name} minus {first.second_name}{unit}, 95 % interval",
         reference_values={"no difference": [0.0]},
     )
+
+
+def _campaign_figure(result: CampaignResults) -> Figure:
+    from ltsim.reports.sections.campaign import campaign_figure
+
+    return campaign_figure(result)
+
+
+FIGURE_FUNCTION_BY_CLASS: dict[str, FigureFunction] = {
+    "ltsim.adjustment.fieldcheck.result.Check": figures.points.field_check_figure,
+    "ltsim.measurands.comparison.Comparison": figures.points.displacement_figure,
+    "ltsim.acceptance.files.AcceptanceFile": figures.points.error_to_limit_figure,
+    "ltsim.simulation.scenario.Scenario": _scenario_figure,
+    "ltsim.recordings.recording.Recording": _recording_figure,
+    "ltsim.reports.verbs.View": _view_figure,
+    "ltsim.adjustment.adjustment.Adjustment": _adjustment_figure,
+    "ltsim.measurands.uncertainty.Uncertainty": _uncertainty_figure,
+    "ltsim.calibration.calibration.Calibration": _calibration_figure,
+    "ltsim.adjustment.evaluation.criteria.Criteria": _criteria_figure,
+    "ltsim.diagnosis.diagnosis.Diagnosis": _diagnosis_figure,
+    "ltsim.calibration.history.History": _history_figure,
+    "ltsim.planning.result.Plan": _plan_figure,
+    "ltsim.adjustment.evaluation.bench.BenchFile": _bench_test_figure,
+    "ltsim.simulation.injector.DetectionCurve": _detection_curve_figure,
+    "ltsim.campaigns.recovery.Recovery": _recovery_figure,
+    "ltsim.planning.proposals.NextMeasurement": _next_measurement_figure,
+    "ltsim.campaigns.calibration_comparison.HeldOutPointErrors": _held_out_point_errors_figure,
+    "ltsim.campaigns.results.PairedDifferences": _paired_differences_figure,
+    "ltsim.campaigns.results.CampaignResults": _campaign_figure,
+}
+"""Function that draws the figure of a result, by the module and name of the class of the result.
+
+The classes are named and not imported: one result needs neither the packages nor the import time of the others.
+"""

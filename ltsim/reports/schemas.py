@@ -10,25 +10,22 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from ltsim.acceptance import files as acceptance
+from ltsim.acceptance.files import AcceptanceFile
 from ltsim.acceptance.spec import AcceptanceSettings
 from ltsim.adjustment.evaluation.bench import BENCH_TABLE, BenchFile
 from ltsim.adjustment.evaluation.criteria import NOMINAL_TABLE, Criteria
-from ltsim.adjustment.fieldcheck.result import TWO_FACE_TABLE, Check
+from ltsim.adjustment.fieldcheck.result import Check
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.history import History
-from ltsim.calibration.schema import RESIDUALS_TABLE, TARGETS_TABLE
 from ltsim.campaigns.recovery import Recovery
-from ltsim.campaigns.recovery_trials import TRIALS_TABLE
 from ltsim.campaigns.schema import ROWS_TABLE, ManifestFile, summary_table
 from ltsim.campaigns.spec import CampaignFile
 from ltsim.core.results import Table
-from ltsim.diagnosis import schema as diagnosis
 from ltsim.diagnosis.diagnosis import Diagnosis
-from ltsim.measurands import comparison, uncertainty
+from ltsim.measurands.comparison import Comparison
 from ltsim.measurands.spec import Tasks
-from ltsim.planning import tables as plan_tables
-from ltsim.planning.proposals import PROPOSALS_TABLE, NextMeasurement
+from ltsim.measurands.uncertainty import Uncertainty
+from ltsim.planning.proposals import NextMeasurement
 from ltsim.planning.result import Plan
 from ltsim.planning.spec import PlanFile
 from ltsim.recordings.files import write_texts
@@ -46,10 +43,10 @@ RESULT_MODELS: tuple[type[ResultFile], ...] = (
     NextMeasurement,
     ManifestFile,
     Recovery,
-    uncertainty.Uncertainty,
-    comparison.Comparison,
+    Uncertainty,
+    Comparison,
     Check,
-    acceptance.AcceptanceFile,
+    AcceptanceFile,
     BenchFile,
     Truth,
 )
@@ -67,20 +64,12 @@ MODEL_BY_FILE_NAME: dict[str, type[BaseModel]] = {
 """Data models of all files, including those that users write, by name of the file."""
 
 COMPANION_TABLES_BY_RESULT_FILE: dict[str, tuple[Table, ...]] = {
-    Calibration.FILE: (TARGETS_TABLE, RESIDUALS_TABLE),
+    **{model.FILE: tuple(model.COMPANION_TABLES.values()) for model in RESULT_MODELS},
     BenchFile.FILE: (BENCH_TABLE,),
     Truth.FILE: (NOMINAL_TABLE,),
-    Diagnosis.FILE: (diagnosis.DIAGNOSED_TARGETS_TABLE, RESIDUALS_TABLE, diagnosis.BASELINE_RESIDUALS_TABLE),
-    Plan.FILE: plan_tables.PLAN_TABLES,
-    NextMeasurement.FILE: (PROPOSALS_TABLE,),
     ManifestFile.FILE: (summary_table({"FACTOR": "number"}), ROWS_TABLE),
-    Check.FILE: (TWO_FACE_TABLE,),
-    comparison.Comparison.FILE: (comparison.DISPLACEMENTS_TABLE,),
-    uncertainty.Uncertainty.FILE: (uncertainty.RESULTS_TABLE, uncertainty.BUDGET_TABLE),
-    acceptance.AcceptanceFile.FILE: (acceptance.TESTS_TABLE,),
-    Recovery.FILE: (TRIALS_TABLE,),
 }
-"""Tables that commands write with a result file, by the name of the result file."""
+"""Tables that commands write or read together with a result file, by the name of the result file."""
 
 
 def json_schemas() -> dict[str, dict[str, Any]]:

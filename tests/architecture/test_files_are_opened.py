@@ -19,7 +19,7 @@ ALLOWED = {
     "cli/terminal.py": "the null device",
     "cli/view.py": "the address of the page, in a browser",
     "planning/loading.py": "plans of the package",
-    "recordings/spreadsheets/workbook_archive.py": "parts of an archive in memory",
+    "recordings/spreadsheets/workbooks.py": "parts of an archive in memory",
     "recordings/specification.py": "a table of the package",
     "reports/board/server.py": "the page of the package",
     "scene/cad_process.py": "the limits of this process",

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.adjustment.fieldcheck import write_check
 from ltsim.adjustment.fieldcheck.check import check
 from ltsim.adjustment.identification.cause_tests import CausePlace, CauseTest
 from ltsim.calibration.files import write_calibration
@@ -24,6 +23,7 @@ from ltsim.cli.main import run
 from ltsim.core.errors import LtsimError, RecordError
 from ltsim.physics.effects import effect_title
 from ltsim.recordings import write
+from ltsim.recordings.result_file import write_result
 from ltsim.reports.document_model import Document
 from ltsim.reports.page import document_of_folder, page_html
 from ltsim.reports.sections.network import target_uncertainty_sentence
@@ -377,7 +377,7 @@ def test_a_predicted_acceptance_test_is_not_called_passed(tmp_path: Path) -> Non
 
 
 def test_a_check_has_its_tests_in_a_table(tmp_path: Path) -> None:
-    write_check(check(samples.recording()), tmp_path, {})
+    write_result(tmp_path, check(samples.recording()))
     (section,) = document_of_folder(tmp_path).sections
     (table,) = (block for block in section.blocks if block.kind == "table")
     assert list(table.header)[:3] == ["station", "test", "result"]

@@ -8,7 +8,6 @@ targets, time gaps or pointings that the test examines (Bonferroni).
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import reduce
-from pathlib import Path
 
 import numpy as np
 
@@ -22,7 +21,6 @@ from ltsim.adjustment.fieldcheck.network import (
     with_increased_noise_at_noisy_targets,
 )
 from ltsim.adjustment.fieldcheck.result import (
-    TWO_FACE_TABLE,
     BonferroniFamily,
     Check,
     CheckArrays,
@@ -58,7 +56,6 @@ from ltsim.physics.effects.station_bump import StationBump
 from ltsim.physics.model.construction import GeometricErrorModel, declared_construction
 from ltsim.recordings.exchange import RecordingSource, load_recording
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.result_file import write_result
 from ltsim.recordings.times import interval_text
 
 N_TESTS_PER_SETUP = 6
@@ -149,19 +146,6 @@ def check(
 def _uses_corrected_readings(selection: CauseSelection) -> bool:
     """True if a field check tests set-ups and network with readings that are corrected for the identified causes."""
     return selection.requires_adjustment_with_causes or selection.is_consistent or selection.has_unit_errors
-
-
-def write_check(check: Check, folder: Path, extra_files: Mapping[str, str]) -> Check:
-    """Copy of `check` with hashes of the files that are written to `folder`: `check.json`, `two_face.csv` and others.
-
-    `extra_files` are the texts of further files by file name, for example of a figure.
-
-    Raises
-    ------
-    RecordError
-        When the folder cannot be written.
-    """
-    return write_result(folder, check, {TWO_FACE_TABLE.file: check.table("two_face").csv_text(), **extra_files})
 
 
 @raise_for_singular_network

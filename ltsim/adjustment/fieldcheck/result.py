@@ -166,6 +166,8 @@ class Check(ResultFile):
     """Result of a field check (command `check`), with the content of `check.json`."""
 
     FILE: ClassVar[str] = "check.json"
+    COMPANION_TABLES: ClassVar[Mapping[str, Table]] = {"two_face": TWO_FACE_TABLE}
+    FURTHER_FILES: ClassVar[tuple[str, ...]] = ("check.svg",)
     format: Literal["ltsim-check/1"] = "ltsim-check/1"
     """Format and version of this file."""
     passed: bool

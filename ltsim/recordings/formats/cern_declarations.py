@@ -15,12 +15,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ltsim.core.arrays import Bools, Floats
-from ltsim.core.units import ARCSECOND, MILLIMETRE, PPM, SI_PER_UNIT
+from ltsim.core.units import ARCSECOND, CENTESIMAL_SECOND, MILLIMETRE, PPM
 from ltsim.recordings.files import SourceLocation, safe_excerpt
 from ltsim.recordings.setup import Axes, Instrument, Noise
 
-CENTESIMAL_SECOND = SI_PER_UNIT["cc"]
-"""Size [rad] of the unit cc, which is 1e-4 gon."""
 FIXED_COORDINATE_SIGMA_M = 1e-7
 """Standard deviation [m] that represents a fixed coordinate in the adjustment."""
 FIXED_AXES_BY_KEYWORD: dict[str, str] = {"CALA": "xyz", "VXY": "z", "VXZ": "y", "VYZ": "x", "VZ": "xy", "POIN": ""}

@@ -20,6 +20,7 @@ from ltsim.recordings.pointings import (
     Pointing,
     index_names,
     numbered_name,
+    numbered_names,
     readings_of_pointings,
     recording_from_pointings,
     separate_constant_heights,
@@ -183,12 +184,9 @@ class FieldBook:
         if orientation is None:
             return []
         keys = list(zip((p.station for p in self.pointings), orientation.tolist(), strict=True))
-        name_by_key: dict[tuple[str, int], str] = {}
-        counts: Counter[str] = Counter()
-        for name, number in dict.fromkeys(keys):
-            point = self.setups[name][0]
-            name_by_key[name, number] = numbered_name(point, counts[point])
-            counts[point] += 1
+        distinct_keys = list(dict.fromkeys(keys))
+        names = numbered_names(self.setups[name][0] for name, _ in distinct_keys)
+        name_by_key = dict(zip(distinct_keys, names, strict=True))
         self.setups = {new: self.setups[old] for (old, _), new in name_by_key.items()}
         self.pointings = [replace(p, station=name_by_key[key]) for p, key in zip(self.pointings, keys, strict=True)]
         return [circle_rotation_note(len(name_by_key), len(occupations))]

@@ -17,7 +17,7 @@ import numpy as np
 
 from ltsim.core.errors import RecordError
 from ltsim.core.notation import names_text
-from ltsim.core.units import ARCSECOND, DEGREE, GON, MILLIMETRE, SI_PER_UNIT
+from ltsim.core.units import ARCSECOND, CENTESIMAL_SECOND, DEGREE, GON, MILLIMETRE
 from ltsim.recordings.air import NO_AIR_UNCERTAINTY
 from ltsim.recordings.conventions import NO_HINTS, Hints
 from ltsim.recordings.files import MAX_RECORDING_NAME_LENGTH, SourceLocation, safe_excerpt, single_line_title
@@ -47,8 +47,6 @@ MIRRORED_AXES = ("ne", "sw", "es", "wn")
 """Directions (n, e, s or w) of the x and y axes that form a left-handed system, for which the sign of y is changed."""
 UNMIRRORED_AXES = ("en", "nw", "se", "ws")
 """Directions (n, e, s or w) of the x and y axes that form a right-handed system."""
-CENTESIMAL_SECOND = SI_PER_UNIT["cc"]
-"""Size [rad] of the unit cc, which is 1e-4 gon."""
 STDEV_ATTRIBUTE_PREFIXES = {"z-angle": "zenith-angle", "s-distance": "distance"} | {
     k: k for k in ("direction", "azimuth", "distance")
 }

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.units import MILLIMETRE
 from ltsim.recordings.files import safe_excerpt
-from ltsim.recordings.pointings import SingleObservation, numbered_name
+from ltsim.recordings.pointings import SingleObservation, numbered_name, numbered_names
 from ltsim.recordings.setup import GaugeDistance, ReferenceDifference, Vector
 from ltsim.recordings.xml import BAND_MATRIX_SIZE_MESSAGE, XmlNode, band_matrix_entries, band_matrix_value_count
 
@@ -150,13 +150,9 @@ def split_reference_lengths(network: GamaNetwork) -> tuple[list[GaugeDistance], 
 
 def differences_with_distinct_names(differences: list[ReferenceDifference]) -> Iterator[ReferenceDifference]:
     """Known vectors with distinct names: several between two points (a line levelled twice) get numbers."""
-    counts: Counter[str] = Counter()
-    for difference in differences:
-        number = counts[difference.label]
-        counts[difference.label] += 1
-        yield (
-            difference.model_copy(update={"name": numbered_name(difference.label, number)}) if number else difference
-        )
+    names = numbered_names(difference.label for difference in differences)
+    for difference, name in zip(differences, names, strict=True):
+        yield difference if name == difference.label else difference.model_copy(update={"name": name})
 
 
 MAX_CORRELATED_OBSERVATIONS = 500

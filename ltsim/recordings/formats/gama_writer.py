@@ -7,10 +7,9 @@ from xml.sax.saxutils import escape, quoteattr
 import numpy as np
 
 from ltsim.core.errors import RecordError
-from ltsim.core.units import GON, MILLIMETRE
+from ltsim.core.units import CENTESIMAL_SECOND, GON, MILLIMETRE
 from ltsim.geometry.polar import from_polar, swap_front_and_raw
 from ltsim.recordings.files import write_text
-from ltsim.recordings.formats.gama import CENTESIMAL_SECOND
 from ltsim.recordings.formats.gama_network import FIXED_COORDINATE_SIGMA_MM
 from ltsim.recordings.recording import SHARED_ERROR_COLUMN_PATTERN, Recording
 from ltsim.recordings.references import ReferenceLengths

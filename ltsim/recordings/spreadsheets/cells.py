@@ -42,7 +42,7 @@ _NUMBER_WITH_UNIT_PATTERN = re.compile(
 )
 """Pattern of a number followed by a symbol in `UNIT_BY_SYMBOL`."""
 _NUMBER_CHARACTERS_PATTERN = re.compile(r"[0-9.+eE-]*")
-"""Pattern of texts that contain only characters of decimal numbers."""
+"""Pattern of the characters of decimal numbers that blanks separate."""
 _TIME_OF_DAY_PATTERN = re.compile(r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d{1,9}))?)?(?:\s*([AaPp])\.?[Mm]\.?)?")
 """Pattern of a time of day with colons, of 24 or 12 hours: ``8:00:20.5``, ``8:00 pm``."""
 _SPELLED_TIME_OF_DAY_PATTERN = re.compile(

@@ -9,7 +9,6 @@ from functools import lru_cache
 
 from ltsim.core.units import ANGLE_UNITS, LENGTH_UNITS, SMALL_ANGLE_UNITS, UNIT_BY_SPELLING
 from ltsim.recordings.spreadsheets.angle_cells import joined_angle_text
-from ltsim.recordings.spreadsheets.coordinate_titles import axes_of_titles_with_common_word
 from ltsim.recordings.spreadsheets.title_words import (
     COMMON_SIGMA_ROLE,
     EAST_ASIAN_LETTERS,
@@ -19,6 +18,7 @@ from ltsim.recordings.spreadsheets.title_words import (
     STATION_TITLE_FIRST_WORDS,
     STATION_TITLE_LAST_WORDS,
     TITLES_BY_ROLE,
+    axes_of_titles_with_common_word,
 )
 
 HORIZONTAL_ROLES = ("horizontal", "azimuth")

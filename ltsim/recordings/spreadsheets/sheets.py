@@ -3,35 +3,26 @@
 from __future__ import annotations
 
 import csv
-import io
 import re
-import warnings
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from datetime import date, datetime, time
 from functools import cached_property
 from itertools import accumulate, chain, starmap
 from pathlib import Path
-from typing import Any, NamedTuple, overload
+from typing import NamedTuple, overload
 
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import (
-    BYTES_PER_MIB,
-    MAX_FILE_BYTES,
-    MAX_LINE_CHARACTERS,
     MAX_TABLE_COLUMNS,
-    MAX_TEXT_LINES,
-    MAX_WORKBOOK_CELLS,
-    MAX_WORKBOOK_SHEETS,
 )
-from ltsim.recordings.files import SourceLocation, read_bytes, read_lines, safe_excerpt
+from ltsim.recordings.files import SourceLocation, read_lines, safe_excerpt
 from ltsim.recordings.spreadsheets.cells import (
     detect_thousands_separator,
     is_number_or_angle_with_point,
     is_numeric,
 )
-from ltsim.recordings.spreadsheets.workbook_archive import checked_workbook_archive
+from ltsim.recordings.spreadsheets.workbooks import workbook_rows_by_sheet
 
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc", ".xlsx")
 """Suffixes of the names of files that may be tables."""
@@ -305,88 +296,3 @@ def _workbook_row(line: int, fields: Sequence[str]) -> SheetRow:
     """Row of a workbook; it is a comment if its first cell begins with # and is not an error value such as #N/A."""
     is_comment = fields[0].startswith("#") and not fields[0].startswith(("#REF!", "#N/A", "#VALUE!", "#DIV/0!"))
     return SheetRow(line, (fields[0].lstrip("# ") if is_comment else fields[0], *fields[1:]), is_comment)
-
-
-_DATE_TYPES = (datetime, date, time)
-"""Types of cell values that are dates or times."""
-WorkbookRow = tuple[int, list[str]]
-"""Number of a row (from 1), and its cells up to the last one that is not empty."""
-
-
-def workbook_rows_by_sheet(file: Path) -> list[tuple[str, list[WorkbookRow]]]:
-    """Name of each sheet of a workbook, with the rows that are not empty.
-
-    Raises RecordError for a file that is not a workbook, is damaged or exceeds a limit, and if the library that reads
-    workbooks is not installed.
-    """
-    try:
-        from openpyxl import load_workbook
-    except ImportError:
-        message = 'is a workbook, which needs the library openpyxl: pip install "ltsim[xlsx]", or save it as CSV'
-        raise RecordError(message, file=file) from None
-    packed = io.BytesIO(read_bytes(file))  # of a damaged file the library would leave its own handle open
-    try:
-        checked = checked_workbook_archive(file, packed)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # on styles and extensions, which hold no cell
-            book = load_workbook(checked, read_only=True, data_only=True, keep_links=False)
-            try:
-                return _read_workbook_sheets(book, file)
-            finally:
-                book.close()
-    except RecordError:
-        raise
-    except OSError as problem:
-        raise RecordError(f"the file cannot be read ({problem.strerror or 'damaged'})", file=file) from None
-    except Exception as problem:  # the library raises whatever its parts raise
-        what = f"is not a readable workbook ({type(problem).__name__}): it is damaged; save it again, or as CSV"
-        raise RecordError(what, file=file) from None
-
-
-def _read_workbook_sheets(book: Any, file: Path) -> list[tuple[str, list[WorkbookRow]]]:
-    """Name and rows of each sheet of an open workbook; raises RecordError.
-
-    The limits on rows, cells and characters apply to all sheets together.
-    """
-    sheets = [sheet for sheet in book.worksheets if hasattr(sheet, "reset_dimensions")]
-    if len(sheets) > MAX_WORKBOOK_SHEETS:
-        raise RecordError(f"the file holds more than {MAX_WORKBOOK_SHEETS} sheets, the limit for reading", file=file)
-    if len({getattr(sheet, "_worksheet_path", sheet.title) for sheet in sheets}) < len(sheets):  # read once per sheet
-        raise RecordError(
-            "the file holds two sheets with the same content part: it is damaged; save it again", file=file
-        )
-    rows = cells = characters = 0
-    contents = []
-    for sheet in sheets:
-        sheet.reset_dimensions()  # the size that the file declares need not be true
-        lines: list[WorkbookRow] = []
-        for number, values in enumerate(sheet.iter_rows(values_only=True), start=1):
-            where = f"up to row {number} of sheet {safe_excerpt(sheet.title)}, the limit for reading"
-            rows, cells = rows + 1, cells + len(values)
-            if rows > MAX_TEXT_LINES or cells > MAX_WORKBOOK_CELLS:
-                what = f"the file holds more than {MAX_TEXT_LINES} rows or {MAX_WORKBOOK_CELLS} cells {where}"
-                raise RecordError(f"{what}; delete the cells far away from the table", file=file)
-            texts = _cell_texts(values)
-            size = sum(map(len, texts))
-            characters += size
-            if size > MAX_LINE_CHARACTERS or characters > MAX_FILE_BYTES:
-                most = f"{MAX_LINE_CHARACTERS} characters in a row or {MAX_FILE_BYTES // BYTES_PER_MIB} million in all"
-                raise RecordError(f"the file holds more than {most} {where}", file=file)
-            lines += [(number, texts)] if texts else []
-        contents.append((sheet.title, lines))
-    return contents
-
-
-def _cell_text(cell: object) -> str:
-    """Text of a cell's value; a date with the time 0:00 becomes a date without time."""
-    if isinstance(cell, datetime) and cell.time() == time():
-        cell = cell.date()
-    return "" if cell is None else cell.isoformat() if isinstance(cell, _DATE_TYPES) else str(cell).strip()
-
-
-def _cell_texts(cell_values: tuple[Any, ...]) -> list[str]:
-    """Texts of the cells of a row: ISO dates, numbers with as few digits as possible, no empty cells at the end."""
-    texts = list(map(_cell_text, cell_values))
-    while texts and not texts[-1]:
-        texts.pop()
-    return texts

@@ -4,6 +4,8 @@ Titles are written in lower case, without blanks, accents and punctuation. Lette
 letters with an accent, are omitted. East Asian titles are unchanged.
 """
 
+from collections.abc import Sequence
+
 EAST_ASIAN_LETTERS = "\u3040-\u30ff\u3400-\u9fff\uac00-\ud7a3"
 """Ranges of Japanese (hiragana, katakana), Chinese (ideographs) and Korean (syllables) letters, for a regular
 expression."""
@@ -275,3 +277,29 @@ FALLBACK_TITLES = {
 """Titles that denote a role (content of a column) only if no other title of the header denotes it, by role. For
 vertical angles of any kind the header must also contain another kind of readings: "site" is French for an elevation,
 and English for a place."""
+AXIS_LETTERS = "xyz"
+"""Letters of the axes, with which titles of coordinates begin or end."""
+MIN_COMMON_WORD_LENGTH = 3
+"""Smallest number of letters of the common word. One or two letters denote other quantities, such as rotations
+and quaternions."""
+WORDS_OF_OTHER_VECTORS = (
+    "rot rotation angle ang euler quat quaternion vel velocity speed acc accel acceleration gyro force torque moment "
+    "sigma std stddev sdev err error dev deviation diff difference delta unc uncertainty normal norm dir direction "
+    "nom nominal soll cad design ref reference scale mag temp offset drehung winkel abweichung"
+)
+"""Words, separated by blanks, that denote rotations, deviations, nominal values and other vectors."""
+
+
+def axes_of_titles_with_common_word(titles: Sequence[str]) -> dict[int, str]:
+    """Axis (`x`, `y` or `z`), by position, of three titles with a common word before or after the letter of the axis.
+
+    `titles` are in the form of `normalised_title`. The result is empty if no word, or more than one, has three axes.
+    """
+    positions_by_word: dict[tuple[str, bool], dict[str, int]] = {}
+    for position, title in enumerate(titles):
+        for word, letter, is_prefix in ((title[:-1], title[-1:], True), (title[1:], title[:1], False)):
+            is_usable = len(word) >= MIN_COMMON_WORD_LENGTH and word not in WORDS_OF_OTHER_VECTORS.split()
+            if is_usable and letter and letter in AXIS_LETTERS:
+                positions_by_word.setdefault((word, is_prefix), {}).setdefault(letter, position)
+    complete = [axes for axes in positions_by_word.values() if len(axes) == len(AXIS_LETTERS)]
+    return {position: axis for axis, position in complete[0].items()} if len(complete) == 1 else {}

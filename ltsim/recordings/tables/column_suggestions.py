@@ -19,9 +19,9 @@ from ltsim.recordings.spreadsheets.header import (
 )
 from ltsim.recordings.spreadsheets.sheets import SheetRow, TableSheet
 from ltsim.recordings.spreadsheets.title_units import unknown_unit_sentence
-from ltsim.recordings.tables.packed_angles import are_packed_angles
+from ltsim.recordings.tables.angle_columns import are_packed_angles
+from ltsim.recordings.tables.missing_names import MOVING_TARGET_TEXT, STATION_OF_POSITIONS_ADVICE
 from ltsim.recordings.tables.pointing_table import to_digit_texts
-from ltsim.recordings.tables.unnamed_targets import MOVING_TARGET_TEXT, STATION_OF_POSITIONS_ADVICE
 from ltsim.recordings.transcription_errors import MAX_ANGLE_READ_AS_RADIANS, MIN_LONGEST_DISTANCE_MM
 
 MAX_SAMPLE_ROWS = 400

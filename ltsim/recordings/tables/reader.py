@@ -39,10 +39,16 @@ from ltsim.recordings.spreadsheets.sheets import (
     read_sheets,
     rows_of_file_beginning,
 )
+from ltsim.recordings.tables.angle_columns import with_unpacked_angles
 from ltsim.recordings.tables.clock_columns import pointing_times, with_time_column
-from ltsim.recordings.tables.heights import covariates_with_instrument_heights
+from ltsim.recordings.tables.heights import covariates_with_instrument_heights, unapplied_heights_notes
 from ltsim.recordings.tables.interpretation import TableConventions, interpret_readings, sigmas_from_coordinates
-from ltsim.recordings.tables.packed_angles import with_unpacked_angles
+from ltsim.recordings.tables.missing_names import (
+    ambiguous_target_name_notes,
+    name_targets_by_position,
+    require_single_unnamed_setup,
+    with_placeholder_target_name,
+)
 from ltsim.recordings.tables.pointing_table import PointingTable, UnconvertedPointings, decimal_places
 from ltsim.recordings.tables.rows import parse_header, read_pointing_table
 from ltsim.recordings.tables.setups import (
@@ -50,11 +56,8 @@ from ltsim.recordings.tables.setups import (
     marks_with_other_spelling,
     occupation_columns,
     split_occupations,
-    unapplied_heights_notes,
     with_setups_over_marks,
 )
-from ltsim.recordings.tables.station_names import ambiguous_target_name_notes, require_single_unnamed_setup
-from ltsim.recordings.tables.unnamed_targets import name_targets_by_position, with_placeholder_target_name
 
 SETUP_FILE = "setup.toml"
 MAX_ROWS_IN_NOTE = 3

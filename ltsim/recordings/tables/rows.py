@@ -24,7 +24,7 @@ from ltsim.recordings.spreadsheets.header import (
 from ltsim.recordings.spreadsheets.sheets import SheetRow, TableSheet
 from ltsim.recordings.spreadsheets.title_units import require_readable_units
 from ltsim.recordings.spreadsheets.title_words import SUMMARY_ROW_FIRST_WORDS
-from ltsim.recordings.tables.angle_part_columns import N_ROWS_TESTED_FOR_ANGLE_PARTS, with_untitled_angle_parts
+from ltsim.recordings.tables.angle_columns import N_ROWS_TESTED_FOR_ANGLE_PARTS, with_untitled_angle_parts
 from ltsim.recordings.tables.blocks import StationContext
 from ltsim.recordings.tables.column_assignments import mapped_columns, parse_assignments
 from ltsim.recordings.tables.column_suggestions import unrecognised_header_sentence

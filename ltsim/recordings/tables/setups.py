@@ -6,21 +6,20 @@ marks that are also targets. The horizontal circle may be rotated between rounds
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import groupby
 
 import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.notation import names_text
-from ltsim.core.units import EARTH_RADIUS
 from ltsim.recordings.circle_orientations import circle_orientation_numbers, circle_rotation_note
-from ltsim.recordings.files import MAX_RECORDING_NAME_LENGTH, safe_excerpt
-from ltsim.recordings.pointings import numbered_name
+from ltsim.recordings.files import MAX_RECORDING_NAME_LENGTH
+from ltsim.recordings.pointings import numbered_names
 from ltsim.recordings.recording import OCCUPATION_COLUMNS
 from ltsim.recordings.setup import EXACT_LEVELLING_SIGMA_ARCSEC, Setup, Station
 from ltsim.recordings.spreadsheets import cells
-from ltsim.recordings.spreadsheets.header import HEIGHT_ROLES
+from ltsim.recordings.tables.heights import reciprocal_lines_agree
 from ltsim.recordings.tables.pointing_table import PointingTable, UnconvertedPointings, distinct_with_indices
 
 SPELLING_DIFFERENCES_TEXT = "case, blanks or leading zeros"
@@ -37,25 +36,12 @@ OCCUPATION_NAMES_BY_ROLE = (
 MIN_ROWS_OF_OCCUPATION = 3
 """Smallest number of rows with one height of the instrument that makes this height an occupation; in fewer rows the
 height may be a mistake."""
-MIN_RECIPROCAL_LINES = 4
-"""Smallest number of lines measured in both directions whose misclosures decide whether heights above survey marks are
-applied."""
-MAX_MISCLOSURE_RATIO_WITHOUT_TO_WITH_HEIGHTS = 0.5
-"""Limit of the misclosure of lines measured in both directions without heights above survey marks, divided by that with
-them. If the ratio is smaller, the heights are not applied, because correct heights would reduce the misclosure."""
 MIN_CIRCLE_ROTATION_BETWEEN_ROUNDS = 1e-3
 """Limit of the median difference [rad] between the directions of two rounds to common targets. If it is exceeded, the
 circle was rotated."""
 MIN_CIRCLE_ROTATION_SIGMAS = 6.0
 """Limit of the median difference between the directions of two rounds to common targets, in standard deviations. If it
 is exceeded, the circle was rotated."""
-MAX_MISCLOSURE_WITHOUT_HEIGHTS_M = 0.2
-"""Limit of the median height misclosure [m] of lines measured in both directions, without heights above survey marks.
-If it is exceeded, the heights are applied. The curvature of the earth causes 0.2 m over 1.3 km."""
-MAX_FORCED_CENTRING_MISCLOSURE_M = 0.02
-"""Limit of the median misclosure [m] of lines measured in both directions. Below it, tracker heads and reflectors were
-exchanged on a common forced centring. If they were set up separately over a survey mark, their heights differ by
-decimetres."""
 _TARGET_NAME_AFTER_STATION = re.compile(r"[\s._:/-]+(.+)")
 """Pattern of a target name after the name of its set-up: a separator, then group 1 ("P01" in "S1_P01")."""
 _TARGET_NAME_BEFORE_STATION = re.compile(r"(.+?)[\s._:/-]+")
@@ -192,11 +178,7 @@ def split_occupations(
     marks = {station for station, *_ in distinct}
     if len(distinct) == len(marks):
         return set(), []
-    counts: Counter[str] = Counter()
-    names: list[str] = []
-    for station, *_ in distinct:
-        names.append(numbered_name(station, counts[station]))
-        counts[station] += 1
+    names = numbered_names(station for station, *_ in distinct)
     table.mark_by_setup = {
         name: table.mark_by_setup.get(key[0], key[0]) for key, name in zip(distinct, names, strict=True)
     }
@@ -296,7 +278,7 @@ def with_setups_over_marks(
     names = dict.fromkeys(table.pointings.station)
     marks = {name: table.mark_by_setup.get(name, name) for name in names}
     over_mark = Counter(marks.values())
-    if heights or (levelled and _reciprocal_lines_agree(table, readings)):
+    if heights or (levelled and reciprocal_lines_agree(table, readings)):
         shared = {mark for mark in marks.values() if mark in targets or over_mark[mark] > 1}
     else:
         shared = {marks[name] for name in rounds}
@@ -324,32 +306,6 @@ def with_setups_over_marks(
     return setup, notes
 
 
-def _reciprocal_lines_agree(table: PointingTable, readings: Floats) -> bool:
-    """True if lines measured in both directions agree in length and, if elevations were measured, in height.
-
-    The median misclosure decides. It takes account of the curvature of the earth, but not of heights above survey
-    marks.
-    """
-    lengths = readings[:, 0] * np.cos(np.nan_to_num(readings[:, 2]))
-    rises = readings[:, 0] * np.sin(readings[:, 2]) + lengths**2 / (2.0 * EARTH_RADIUS)
-    lines: dict[tuple[str, str], list[tuple[float, float]]] = {}
-    for line, length, rise in zip(_marks_and_targets(table), lengths.tolist(), rises.tolist(), strict=True):
-        lines.setdefault(line, []).append((length, rise))
-    mean_rise = {line: np.mean(both, axis=0) for line, both in lines.items()}
-    closures = [mean_rise[a, b] - mean_rise[b, a] * [1.0, -1.0] for a, b in lines if a < b and (b, a) in lines]
-    if not closures:
-        return False
-    length, rise = np.abs(np.array(closures)).T
-    in_height = rise[np.isfinite(rise)]
-    medians = [float(np.median(closure)) for closure in (length, in_height) if len(closure)]
-    return max(medians) < MAX_FORCED_CENTRING_MISCLOSURE_M
-
-
-def _marks_and_targets(table: PointingTable) -> Iterator[tuple[str, str]]:
-    """Names of the survey mark under the station and of the target, for each pointing."""
-    return zip(table.mark_names, table.pointings.target, strict=True)
-
-
 def occupation_columns(table: PointingTable) -> dict[str, list[str]]:
     """Columns with the names of the occupations by the instrument and by the reflector in each pointing.
 
@@ -360,41 +316,3 @@ def occupation_columns(table: PointingTable) -> dict[str, list[str]]:
     setups = [f"{mark} {day}".strip() for mark, day in zip(table.mark_names, days, strict=True)]
     targets = [f"to {target} {day}".strip() for target, day in zip(pointings.target, days, strict=True)]
     return dict(zip(OCCUPATION_COLUMNS, (setups, targets), strict=True))
-
-
-def unapplied_heights_notes(table: PointingTable, readings: Floats, height: Floats) -> list[str]:
-    """Note, in a list, that heights in a table are not applied because the readings refer to heads; otherwise empty.
-
-    Heights are those above survey marks. Lines measured in both directions decide: their height differences agree
-    either with the heights `height` (n, 2) [m] of instrument and target in n pointings, or without them. `readings` (n,
-    3) are in m, rad, rad.
-    """
-    heights = np.nan_to_num(height)
-    if not heights.any():
-        return []
-    lines: dict[tuple[str, str], list[tuple[float, float]]] = {}
-    rise = readings[:, 0] * np.sin(readings[:, 2])
-    with_heights = rise + heights[:, 0] - heights[:, 1]
-    for line, up, other in zip(_marks_and_targets(table), rise.tolist(), with_heights.tolist(), strict=True):
-        if up == up:
-            lines.setdefault(line, []).append((up, other))
-    mean_rise = {line: np.mean(rises, axis=0) for line, rises in lines.items()}
-    closures = np.abs(
-        [mean_rise[a, b] + mean_rise[b, a] for a, b in mean_rise if a < b and (b, a) in mean_rise]
-    ).reshape(-1, 2)
-    if len(closures) < MIN_RECIPROCAL_LINES:
-        return []
-    if np.median(closures[:, 0]) > MAX_MISCLOSURE_WITHOUT_HEIGHTS_M:
-        return []
-    for statistic in (np.median, np.max):
-        closure_without, closure_with = statistic(closures, axis=0)
-        if not closure_without < MAX_MISCLOSURE_RATIO_WITHOUT_TO_WITH_HEIGHTS * closure_with:
-            return []
-    names = " and ".join(f"'{safe_excerpt(c.title)}'" for c in table.columns if c.role in HEIGHT_ROLES)
-    return [
-        f"heights in {names} are not applied: {len(closures)} lines measured in both directions close within "
-        f"{1e3 * closures[:, 0].max():.3g} mm without them, {1e3 * closures[:, 1].max():.4g} mm with them. "
-        "The coordinates are those of heads and reflectors, not of the marks below them. The height of each head is an "
-        "observation with the standard deviation height_above_mark_sigma_mm. Plumb lines follow the curved earth (key "
-        "curved)"
-    ]
