@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import version
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -215,10 +216,11 @@ def _extended_campaign(
     Existing cells (combinations of factor levels) keep their numbers. InputError is raised if the file would change
     existing rows.
     """
-    before, ordered, remaining = manifest.settings, list[CampaignCell](), list(cells)
+    before, ordered, cells_by_digest = manifest.settings, list[CampaignCell](), dict[str, list[CampaignCell]]()
+    for cell in cells:
+        cells_by_digest.setdefault(cell.digest, []).append(cell)
     for old in manifest.cells:
-        same = next((cell for cell in remaining if cell.digest == old.digest), None)
-        if same is None:
+        if not (same := cells_by_digest.get(old.digest)):
             now = campaign.model_dump(mode="json", by_alias=True)
             changed = [key for key in now if key not in EXTENDABLE_CAMPAIGN_KEYS and before.get(key) != now[key]] or [
                 "the scenario"
@@ -228,8 +230,8 @@ def _extended_campaign(
                 f"its rows in {store.folder} stay: continue with {store.folder / CAMPAIGN_FILE_NAME}, or start "
                 f"again with another {option_text('out')}"
             )
-        remaining.remove(same)
-        ordered.append(same)
+        ordered.append(same.pop(0))
+    remaining = [*chain.from_iterable(cells_by_digest.values())]
     if [*manifest.cells[0].levels] != [*cells[0].levels]:
         raise InputError(
             f"{file}: the file varies {', '.join(cells[0].levels) or 'nothing'}, but the campaign in {store.folder} "

@@ -38,7 +38,7 @@ def rows_sql(shards: Sequence[Path]) -> tuple[str, int]:
             n_values += file.metadata.num_rows * len(columns)
         shards_by_columns.setdefault(columns, []).append(shard)
     selections = (
-        f"SELECT * FROM read_parquet([{', '.join(map(path_as_sql_text, group))}])"
+        f"SELECT * FROM read_parquet([{', '.join(map(path_as_sql_text, group))}], hive_partitioning = false)"
         for group in shards_by_columns.values()
     )
     return " UNION ALL BY NAME ".join(selections), n_values

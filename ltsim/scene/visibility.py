@@ -287,7 +287,7 @@ def narrowest_cone_axes(directions: Floats, n_steps: int = 1000) -> Floats:
     flattened = directions.reshape(-1, *directions.shape[-2:])
     centre, row_indices = flattened.mean(axis=-2), np.arange(len(flattened))
     for i in range(1, n_steps + 1):
-        farthest = np.argmin(np.einsum("tsk,tk->ts", flattened, centre), axis=-1)
+        farthest = np.einsum("tsk,tk->ts", flattened, centre).argmin(axis=-1)
         centre += (flattened[row_indices, farthest] - centre) / (i + 1)
-        centre /= np.sqrt(np.sum(centre**2, axis=1, keepdims=True))
+        centre /= np.sqrt(np.add.reduce(centre * centre, axis=1, keepdims=True))
     return centre.reshape(directions.shape[:-2] + directions.shape[-1:])

@@ -1,6 +1,7 @@
 """Planned layout of a hall: stations, targets, gauge (reflectors at known distances), nests, obstacles, visibility."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import combinations
 from pathlib import Path
 from types import MappingProxyType
@@ -232,8 +233,20 @@ def _nest_normals_and_reaimed_mask(scenario: Scenario, position: Floats, points:
     reaimed = np.array([usual if value is None else value for value in declared], dtype=bool)
     open_ = ~reaimed & ~np.isfinite(normal[:, 0])
     if open_.any():
-        normal[open_] = nest_normals_of_smallest_incidence(position, points[open_])[0]
+        normal[open_] = _aimed_nest_normals(position.tobytes(), points[open_].tobytes())
     return normal, reaimed
+
+
+@lru_cache(maxsize=64)
+def _aimed_nest_normals(position: bytes, points: bytes) -> Floats:
+    """Unit normals (targets, 3) of fixed nests at `points` that face the stations at `position` [m], both as bytes.
+
+    They are stored, because thousands of cells of a campaign have the same hall.
+    """
+    coordinates = [np.frombuffer(content).reshape(-1, 3) for content in (position, points)]
+    normals = nest_normals_of_smallest_incidence(*coordinates)[0]
+    normals.flags.writeable = False
+    return normals
 
 
 def make_sight_limits(scenario: Scenario, tracker: ScenarioInstrument) -> SightLimits:

@@ -100,17 +100,20 @@ def test_the_database_takes_memory_in_proportion_to_its_files(tmp_path: Path) ->
 
 
 def test_a_folder_is_no_pattern(file: Path, tmp_path: Path) -> None:
+    """A folder `noise_factor=3` replaced the levels of the factor in all rows."""
     few = FILE.replace("trials = 600", "trials = 8")
     file.write_text(few)
     run_campaign(file, tmp_path / "run1")
     file.write_text(few.replace("seed = 5", "seed = 6"))
-    for name in ("run[1]", "run*", "it's"):
+    others = ("run[1]", "run*", "it's", "noise_factor=3")
+    for name in others:
         run_campaign(file, tmp_path / name)
-    means = {
-        name: CampaignResults(tmp_path / name).statistic_summaries("target_error_um")[0].mean
-        for name in ("run1", "run[1]", "run*", "it's")
-    }
-    assert means["run[1]"] == means["run*"] == means["it's"] != means["run1"]
+    first, *means = (
+        CampaignResults(tmp_path / name).statistic_summaries("target_error_um") for name in ("run1", *others)
+    )
+    assert all(mean == means[0] != first for mean in means)
+    rows = CampaignResults(tmp_path / "noise_factor=3").query("SELECT DISTINCT cell, noise_factor FROM rows ORDER BY 1")
+    assert rows == [(0, 1.0), (1, 2.0)]
     assert run_campaign(file, tmp_path / "run[1]", resume=True).n_existing_shards == 2
 
 
