@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import product
 
 from ltsim.core.units import ANGLE_UNITS, LENGTH_UNITS, SMALL_ANGLE_UNITS, UNIT_BY_SPELLING
 from ltsim.recordings.spreadsheets.angle_cells import joined_angle_text
@@ -15,6 +16,9 @@ from ltsim.recordings.spreadsheets.title_words import (
     EAST_ASIAN_LETTERS,
     FALLBACK_TITLES,
     FOREIGN_TITLES_BY_LANGUAGE,
+    HEIGHT_OWNER_WORDS_BY_ROLE,
+    HEIGHT_TITLE_LINKS,
+    HEIGHT_WORDS,
     NUMBER_TITLE_ENDINGS,
     STATION_TITLE_FIRST_WORDS,
     STATION_TITLE_LAST_WORDS,
@@ -45,6 +49,12 @@ latter. The role of a column is its content, such as `azimuth`."""
 ROLE_BY_TITLE = {
     **{instrument + place: "station" for instrument in STATION_TITLE_FIRST_WORDS for place in STATION_TITLE_LAST_WORDS},
     **{
+        title: role
+        for role, owners in HEIGHT_OWNER_WORDS_BY_ROLE.items()
+        for owner, height in product(owners.split(), HEIGHT_WORDS.split())
+        for title in (owner + height, *(height + link + owner for link in HEIGHT_TITLE_LINKS))
+    },
+    **{
         word: role
         for words in (TITLES_BY_ROLE, *FOREIGN_TITLES_BY_LANGUAGE.values())
         for role, text in words.items()
@@ -68,7 +78,7 @@ UNITS_BY_ROLE = {
 }
 """Permitted units of a column by its role (content, such as `azimuth`); a column whose title has another unit does not
 have this role."""
-ROLES_OF_UNUSED_FALLBACK_TITLES = {"target": "", "station": "instrument_setup", "elevation": ""}
+ROLES_OF_UNUSED_FALLBACK_TITLES = {"target": "", "station": "instrument_setup", "elevation": "", "distance": ""}
 """Second role ('' for none) of a column with a title in `FALLBACK_TITLES`, if another column already has its first
 role. For example, a column of set-up numbers numbers the occupations if another column names the stations."""
 MAX_TITLE_LENGTH = 80

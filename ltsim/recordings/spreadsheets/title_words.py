@@ -11,7 +11,7 @@ expression."""
 COMMON_SIGMA_ROLE = "sigma_mm"
 """Role of a column with one standard deviation for all three coordinates."""
 TITLES_BY_ROLE = {
-    "station": "station stn st setup standpunkt stp stand standort stationname stationid stationnr stationno "
+    "station": "station stn st setup occupy standpunkt stp stand standort stationname stationid stationnr stationno "
     "stationnumber stationpoint stationpointid setuppoint setuppointid standpunktnr standpunktnummer "
     "standpunktname atstation occupied occupiedpoint occupiedstation occpt occpoint "
     "from fromstn fromstation frompoint frompointid von instrument instrumentname "
@@ -20,7 +20,7 @@ TITLES_BY_ROLE = {
     "target": "target point pt name punkt pkt punktnummer punktnr punktid punktno pktnummer pktnr punktname pnr "
     "pointname pointid pointnumber pointno "
     "pointnr ptid ptno ptnr ptname targetname targetid feature featurename id to tostn tostation "
-    "topoint topointid observed observedpoint sighted sightedpoint nach reflector smr "
+    "topoint topointid observed observedpoint sight sighted sightedpoint nach reflector smr "
     "zielpunkt zielpunktnr zielpunktnummer ziel nest nr nummer no",
     "face": "face f lage kreislage circlelage visierlage",
     "repeat": "repeat repetition rep wiederholung",
@@ -34,7 +34,7 @@ TITLES_BY_ROLE = {
     "elevation": "elevation el elev elevationangle hohenwinkel hoehenwinkel altitudeangle elevationswinkel",
     "distance": "distance dist d sd slopedist slopedistance slope range r schragdistanz schraegdistanz "
     "schragstrecke schraegstrecke strecke distanz raumstrecke distance3d sdist "
-    "schragentfernung schraegentfernung raumdistanz",
+    "schragentfernung schraegentfernung raumdistanz s",
     "flat": "hd horizontaldistance horizontaldist horizontalstrecke horizontaldistanz hdist",
     "x": "x xactual actualx xmeas measx xist istx e east easting rechtswert rw ost ostwert xcoordinate xkoordinate",
     "y": "y yactual actualy ymeas measy yist isty n north northing hochwert hw nord nordwert ycoordinate ykoordinate",
@@ -42,12 +42,9 @@ TITLES_BY_ROLE = {
     COMMON_SIGMA_ROLE: "sigma stddev std sigmaxyz",
     "time": "time zeit timestamp zeitstempel zeitpunkt datetime utc uhrzeit clock clocktime times measuredat",
     "date": "date datum day tag",
-    "instrument_height_mm": "instrumentheight heightofinstrument insthgt insthgtm ih hi fromhgt stationheight "
-    "instrumentenhohe instrumentenhoehe instrumenthohe geratehohe geraetehoehe "
-    "kippachshohe standpunkthohe",
-    "target_height_mm": "targetheight heightoftarget heightofprism heightofreflector tohgt th ht hr "
-    "reflectorheight prismheight rodheight zielhohe zielhoehe zielpunkthohe reflektorhohe "
-    "prismenhohe tafelhohe zh",
+    "instrument_height_mm": "ih hi fromhgt insthgtm stationheight stationshojd standpunkthohe hauteurstation "
+    "altezzastazione",
+    "target_height_mm": "tohgt th ht hr zh",
     "instrument_setup": "isetupid instrumentsetup instrumentsetupid",
     "target_setup": "tsetupid targetsetup targetsetupid",
     "air_temperature_c": "airtemperature airtemp lufttemperatur",
@@ -74,8 +71,6 @@ FOREIGN_TITLES_BY_LANGUAGE = {
         "distanceselonlapente distinclinee distincl",
         "flat": "distancehorizontale distancereduite",
         "time": "heure horodatage",
-        "instrument_height_mm": "hauteurinstrument hauteurdelinstrument hauteurappareil hauteurstation",
-        "target_height_mm": "hauteurprisme hauteurduprisme hauteurcible hauteurvoyant hauteurreflecteur",
         "air_temperature_c": "temperatureair temperaturedelair",
         "air_pressure_hpa": "pression pressionatmospherique",
         "relative_humidity_pct": "humidite humiditerelative",
@@ -97,10 +92,6 @@ FOREIGN_TITLES_BY_LANGUAGE = {
         "flat": "distanciahorizontal distanciareducida distanciareduzida",
         "date": "fecha",
         "time": "hora horario",
-        "instrument_height_mm": "alturainstrumento alturadelinstrumento alturadeinstrumento alturadoinstrumento "
-        "alturaaparato",
-        "target_height_mm": "alturaprisma alturadelprisma alturadeprisma alturadoprisma alturareflector alturaobjetivo "
-        "alturadoalvo",
         "air_temperature_c": "temperaturadelaire temperaturaaire temperaturadoar",
         "air_pressure_hpa": "presion presionatmosferica pressao pressaoatmosferica",
         "relative_humidity_pct": "humedad humedadrelativa umidade umidaderelativa humidaderelativa",
@@ -117,8 +108,6 @@ FOREIGN_TITLES_BY_LANGUAGE = {
         "distance": "distanzainclinata distanza distanzageometrica distanzaobliqua distinclinata",
         "flat": "distanzaorizzontale distanzaridotta",
         "time": "ora orario",
-        "instrument_height_mm": "altezzastrumento altezzadellostrumento altezzastazione",
-        "target_height_mm": "altezzaprisma altezzadelprisma altezzamira altezzasegnale",
         "air_temperature_c": "temperaturadellaria temperaturaaria",
         "air_pressure_hpa": "pressione pressioneatmosferica",
         "relative_humidity_pct": "umidita umiditarelativa",
@@ -131,8 +120,6 @@ FOREIGN_TITLES_BY_LANGUAGE = {
         "zenith": "zenithoek zenitafstand",
         "distance": "schuineafstand afstand",
         "flat": "horizontaleafstand",
-        "instrument_height_mm": "instrumenthoogte",
-        "target_height_mm": "prismahoogte reflectorhoogte",
     },
     "Swedish and Danish": {
         "station": "uppstallning stationspunkt opstilling",
@@ -142,8 +129,6 @@ FOREIGN_TITLES_BY_LANGUAGE = {
         "zenith": "zenitvinkel zenitdistans",
         "distance": "lutandelangd lutandeavstand skraafstand avstand afstand",
         "flat": "horisontellangd horisontalavstand horisontalafstand",
-        "instrument_height_mm": "instrumenthojd stationshojd instrumenthojde instrumenthjde",
-        "target_height_mm": "prismahojd reflektorhojd signalhojd prismehojde prismehjde",
     },
     "Polish": {
         "station": "stanowisko",
@@ -153,8 +138,6 @@ FOREIGN_TITLES_BY_LANGUAGE = {
         "zenith": "katzenitalny odlegosczenitalna",
         "distance": "odlegloscskosna odlegoscskosna",
         "flat": "odlegloscpozioma odlegoscpozioma",
-        "instrument_height_mm": "wysokoscinstrumentu",
-        "target_height_mm": "wysokoscpryzmatu wysokosclustra wysokoscustra wysokosccelu wysokoscsygnau",
     },
     "Czech and Slovak": {
         "station": "stanovisko stanoviste",
@@ -164,8 +147,6 @@ FOREIGN_TITLES_BY_LANGUAGE = {
         "zenith": "zenitovyuhel zenituhel zenitovyuhol zenitovavzdalenost",
         "distance": "sikmadelka sikmavzdalenost sikmadlzka",
         "flat": "vodorovnadelka vodorovnavzdalenost vodorovnadlzka",
-        "instrument_height_mm": "vyskapristroje vyskastroje vyskapristroja",
-        "target_height_mm": "vyskacile vyskaciela vyskahranolu",
     },
     "Hungarian": {
         "station": "allaspont",
@@ -176,8 +157,6 @@ FOREIGN_TITLES_BY_LANGUAGE = {
         "distance": "ferdetavolsag",
         "flat": "vizszintestavolsag",
         "time": "ido",
-        "instrument_height_mm": "muszermagassag",
-        "target_height_mm": "jelmagassag prizmamagassag",
     },
     "Japanese": {
         "station": "器械点 器械点名 機械点 機械点名 測站",
@@ -271,7 +250,22 @@ FALLBACK_TITLES = {
     "target": ("nr", "nummer", "no", "id"),
     "station": (*_SETUP_TITLES, *_OCCUPATION_TITLES),
     "elevation": ("site",),
+    "distance": ("s",),
 }
 """Titles that denote a role (content of a column) only if no other title of the header denotes it, by role. For
 vertical angles of any kind the header must also contain another kind of readings: "site" is French for an elevation,
 and English for a place."""
+HEIGHT_WORDS = (
+    "h height hgt hght ht hohe hoehe hauteur haut altura alt altezza hoogte hojd hojde hjde wysokosc vyska magassag"
+)
+"""Words for heights in titles of columns, separated by blanks."""
+HEIGHT_OWNER_WORDS_BY_ROLE = {
+    "instrument_height_mm": "instrument instr inst instrumenten gerate geraete kippachs appareil instrumento aparato "
+    "strumento instrumentu pristroje stroje pristroja muszer",
+    "target_height_mm": "target tgt prism prismen reflector refl reflektor rod pole signal ziel zielpunkt tafel prisme "
+    "cible voyant reflecteur prisma objetivo alvo bersaglio mira segnale pryzmatu lustra ustra celu sygnau cile ciela "
+    "hranolu jel prizma",
+}
+"""Words for the instrument and the target in titles of their heights, separated by blanks, by role of the column."""
+HEIGHT_TITLE_LINKS = ("", "of", "de", "del", "do", "du", "della", "dello", "dell")
+"""Words between a word for a height and the instrument or target."""

@@ -53,7 +53,11 @@ from ltsim.recordings.tables.setups import (
     unapplied_heights_notes,
     with_setups_over_marks,
 )
-from ltsim.recordings.tables.station_names import ambiguous_target_name_notes, require_single_unnamed_setup
+from ltsim.recordings.tables.station_names import (
+    ambiguous_target_name_notes,
+    require_names_in_target_column,
+    require_single_unnamed_setup,
+)
 from ltsim.recordings.tables.unnamed_targets import name_targets_by_position, with_placeholder_target_name
 
 SETUP_FILE = "setup.toml"
@@ -98,6 +102,7 @@ def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Re
     interpretation, readings = interpret_readings(table, poses, hints, path)
     table = name_targets_by_position(table, readings)
     require_single_unnamed_setup(table, readings, path)
+    require_names_in_target_column(table, readings, path)
     table.notes += ambiguous_target_name_notes(table, readings)
     if setup is not None:
         recording = assemble_recording(table, interpretation, readings, setup, hints, path)
