@@ -78,7 +78,7 @@ UNITS_BY_ROLE = {
 }
 """Permitted units of a column by its role (content, such as `azimuth`); a column whose title has another unit does not
 have this role."""
-ROLES_OF_UNUSED_FALLBACK_TITLES = {"target": "", "station": "instrument_setup", "elevation": "", "distance": ""}
+ROLES_OF_UNUSED_FALLBACK_TITLES = {"target": "", "station": "instrument_setup", "elevation": ""}
 """Second role ('' for none) of a column with a title in `FALLBACK_TITLES`, if another column already has its first
 role. For example, a column of set-up numbers numbers the occupations if another column names the stations."""
 MAX_TITLE_LENGTH = 80
@@ -170,6 +170,8 @@ def _compute_header_columns(fields: tuple[str, ...]) -> list[TableColumn]:
         "y",
     }:  # Z beside Hz and D is no height
         candidates = [replace(c, role="vertical") if c.role == "z" and not c.unit else c for c in candidates]
+    if _count_reading_kinds(candidates) == 2 and not roles & {*DISTANCE_ROLES, "x", "y"}:  # S beside Hz and V
+        candidates = [replace(c, role="distance") if _is_titled_s(c) else c for c in candidates]
     two_face_roles = {c.role for c in candidates if c.face == 1} & {c.role for c in candidates if c.face == 2}
     is_polar = _count_reading_kinds(candidates) > 1
     titles_by_role = {
@@ -200,6 +202,11 @@ def _compute_header_columns(fields: tuple[str, ...]) -> list[TableColumn]:
             used_roles.add((assigned.role, assigned.face))
         columns.append(assigned)
     return distinct_titles(columns)
+
+
+def _is_titled_s(column: TableColumn) -> bool:
+    """True for a column with the title S and no unit other than that of a length."""
+    return title_words_and_unit(column.title)[0] == "s" and column.unit in ("", *LENGTH_UNITS)
 
 
 def _with_distance_sigma_role(column: TableColumn) -> TableColumn:

@@ -34,7 +34,7 @@ TITLES_BY_ROLE = {
     "elevation": "elevation el elev elevationangle hohenwinkel hoehenwinkel altitudeangle elevationswinkel",
     "distance": "distance dist d sd slopedist slopedistance slope range r schragdistanz schraegdistanz "
     "schragstrecke schraegstrecke strecke distanz raumstrecke distance3d sdist "
-    "schragentfernung schraegentfernung raumdistanz s",
+    "schragentfernung schraegentfernung raumdistanz",
     "flat": "hd horizontaldistance horizontaldist horizontalstrecke horizontaldistanz hdist",
     "x": "x xactual actualx xmeas measx xist istx e east easting rechtswert rw ost ostwert xcoordinate xkoordinate",
     "y": "y yactual actualy ymeas measy yist isty n north northing hochwert hw nord nordwert ycoordinate ykoordinate",
@@ -250,7 +250,6 @@ FALLBACK_TITLES = {
     "target": ("nr", "nummer", "no", "id"),
     "station": (*_SETUP_TITLES, *_OCCUPATION_TITLES),
     "elevation": ("site",),
-    "distance": ("s",),
 }
 """Titles that denote a role (content of a column) only if no other title of the header denotes it, by role. For
 vertical angles of any kind the header must also contain another kind of readings: "site" is French for an elevation,
