@@ -212,3 +212,17 @@ def test_row_numbers_are_no_targets(tmp_path: Path) -> None:
         read_text(tmp_path / "a.csv", text)
     recording = read_text(tmp_path / "a.csv", text, Hints(columns="target=Bezeichnung"))
     assert recording.targets == ("P1", "P2", "P3", "P4")
+
+
+def test_words_in_titles_may_be_abbreviated(tmp_path: Path) -> None:
+    header = "Station;Point;Horiz. Angle [gon];Ang. Zenital [gon];Dist. suivant pente;i [m];t [m]"
+    recording = read_text(tmp_path / "a.csv", f"{header}\nA;P;10.5;98.5;12.3456;1.683;1.3\n")
+    np.testing.assert_allclose(recording.readings, [[12.3456, 389.5 * np.pi / 200, 1.5 * np.pi / 200]])
+    assert recording.covariates["instrument_height_mm"].tolist() == [1683.0]
+    assert recording.covariates["target_height_mm"].tolist() == [1300.0]
+
+
+def test_the_proposed_unit_of_small_angles_is_radian(tmp_path: Path) -> None:
+    rows = [f"{s};P{k};{0.9 * k + s};1.5{k};1{k}.3456" for s in range(2) for k in range(1, 5)]
+    with pytest.raises(RecordError, match="therefore give --hint angle=rad"):
+        read_text(tmp_path / "a.csv", "\n".join(["Station;Target;H;V;D", *rows]) + "\n")

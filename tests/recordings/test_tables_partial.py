@@ -68,9 +68,7 @@ def test_words_for_faces(tmp_path: Path) -> None:
 
 
 def test_an_unknown_unit_is_named(tmp_path: Path) -> None:
-    with pytest.raises(
-        RecordError, match=r"'Hz \[turn\]' has the unknown unit 'turn'; convert it to one of deg"
-    ):
+    with pytest.raises(RecordError, match=r"'Hz \[turn\]' has the unknown unit 'turn'; convert it to one of deg"):
         read_rows(tmp_path / "a.csv", ROWS, HEADER.replace("gon", "turn"))
 
 

@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from itertools import product
 
 from ltsim.core.units import ANGLE_UNITS, LENGTH_UNITS, SMALL_ANGLE_UNITS, UNIT_BY_SPELLING
 from ltsim.recordings.spreadsheets.angle_cells import joined_angle_text
@@ -16,10 +15,10 @@ from ltsim.recordings.spreadsheets.title_words import (
     EAST_ASIAN_LETTERS,
     FALLBACK_TITLES,
     FOREIGN_TITLES_BY_LANGUAGE,
-    HEIGHT_OWNER_WORDS_BY_ROLE,
-    HEIGHT_TITLE_LINKS,
-    HEIGHT_WORDS,
+    FULL_WORDS_BY_ABBREVIATION,
+    LETTERS_OF_HEIGHTS,
     NUMBER_TITLE_ENDINGS,
+    ROLE_BY_HEIGHT_TITLE,
     STATION_TITLE_FIRST_WORDS,
     STATION_TITLE_LAST_WORDS,
     TITLES_BY_ROLE,
@@ -48,12 +47,7 @@ SIGMA_ROLES = {
 latter. The role of a column is its content, such as `azimuth`."""
 ROLE_BY_TITLE = {
     **{instrument + place: "station" for instrument in STATION_TITLE_FIRST_WORDS for place in STATION_TITLE_LAST_WORDS},
-    **{
-        title: role
-        for role, owners in HEIGHT_OWNER_WORDS_BY_ROLE.items()
-        for owner, height in product(owners.split(), HEIGHT_WORDS.split())
-        for title in (owner + height, *(height + link + owner for link in HEIGHT_TITLE_LINKS))
-    },
+    **ROLE_BY_HEIGHT_TITLE,
     **{
         word: role
         for words in (TITLES_BY_ROLE, *FOREIGN_TITLES_BY_LANGUAGE.values())
@@ -356,6 +350,11 @@ def title_role(name: str) -> str:
     number_match = _NUMBER_ENDING_PATTERN.fullmatch(name)
     if number_match is not None and ROLE_BY_TITLE.get(number_match[1]) in ROLES_WITH_NUMBER_ENDINGS:
         return ROLE_BY_TITLE[number_match[1]]
+    for abbreviation, words in FULL_WORDS_BY_ABBREVIATION.items():
+        if name.startswith(abbreviation):
+            titles = (word + name.removeprefix(abbreviation) for word in words)
+            if role := next((ROLE_BY_TITLE[title] for title in titles if title in ROLE_BY_TITLE), ""):
+                return role
     stems = [match[1] for form in _SIGMA_TITLE_PATTERN if (match := form.fullmatch(name))]
     return next((SIGMA_ROLES[ROLE_BY_TITLE[stem]] for stem in stems if ROLE_BY_TITLE.get(stem) in SIGMA_ROLES), "")
 
@@ -369,7 +368,7 @@ def normalised_title(text: str) -> str:
 def _column_from_title(position: int, title: str, *, has_face: bool = True) -> TableColumn:
     """Column at `position` with the role (content), unit and, if `has_face`, face that its title implies."""
     name, unit = title_words_and_unit(title)
-    role, face = title_role(name), 0
+    role, face = title_role(name) or (LETTERS_OF_HEIGHTS.get(name, "") if unit in LENGTH_UNITS else ""), 0
     face_match = _FACE_NUMBER_PATTERN.fullmatch(name) if has_face and not role else None
     if face_match is not None:
         role = title_role(face_match.group(1))

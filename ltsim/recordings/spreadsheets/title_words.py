@@ -4,6 +4,8 @@ Titles are written in lower case, without blanks, accents and punctuation. Lette
 letters with an accent, are omitted. East Asian titles are unchanged.
 """
 
+from itertools import product
+
 EAST_ASIAN_LETTERS = "\u3040-\u30ff\u3400-\u9fff\uac00-\ud7a3"
 """Ranges of Japanese (hiragana, katakana), Chinese (ideographs) and Korean (syllables) letters, for a regular
 expression."""
@@ -26,13 +28,13 @@ TITLES_BY_ROLE = {
     "repeat": "repeat repetition rep wiederholung",
     "round": "round runde obsset satz set setnumber setno setnr satznummer satznr vollsatz serie series "
     "measurementround obsround messrunde durchgang epoch epoche messepoche",
-    "horizontal": "hz ha hor horizontal horizontalangle hzangle horizontalrichtung hzrichtung richtung direction "
+    "horizontal": "hz ha horizontal horizontalangle hzangle horizontalrichtung hzrichtung richtung direction "
     "horizontalwinkel hzwinkel hcircle hzcircle horizontalcircle bearing",
     "azimuth": "azimuth az azimut azi azimuthangle azimutwinkel",
     "vertical": "v va vz vertical verticalangle vertikalwinkel vwinkel vangle vzangle vcircle verticalcircle",
     "zenith": "zenith za zd zen zenithangle zenit zenitwinkel zenitdistanz zenithdistance",
     "elevation": "elevation el elev elevationangle hohenwinkel hoehenwinkel altitudeangle elevationswinkel",
-    "distance": "distance dist d sd slopedist slopedistance slope range r schragdistanz schraegdistanz "
+    "distance": "distance d sd slopedist slopedistance slope range r schragdistanz schraegdistanz "
     "schragstrecke schraegstrecke strecke distanz raumstrecke distance3d sdist "
     "schragentfernung schraegentfernung raumdistanz",
     "flat": "hd horizontaldistance horizontaldist horizontalstrecke horizontaldistanz hdist",
@@ -44,7 +46,7 @@ TITLES_BY_ROLE = {
     "date": "date datum day tag",
     "instrument_height_mm": "ih hi fromhgt insthgtm stationheight stationshojd standpunkthohe hauteurstation "
     "altezzastazione",
-    "target_height_mm": "tohgt th ht hr zh",
+    "target_height_mm": "tohgt th ht hr zh hv hp",
     "instrument_setup": "isetupid instrumentsetup instrumentsetupid",
     "target_setup": "tsetupid targetsetup targetsetupid",
     "air_temperature_c": "airtemperature airtemp lufttemperatur",
@@ -68,7 +70,7 @@ FOREIGN_TITLES_BY_LANGUAGE = {
         "zenith": "anglezenithal distancezenithale zenithal",
         "elevation": "angledesite anglesite site angledelevation angledehauteur hauteurangulaire",
         "distance": "distanceinclinee distanceoblique distancesuivantpente distancepente distancespatiale "
-        "distanceselonlapente distinclinee distincl",
+        "distanceselonlapente distincl",
         "flat": "distancehorizontale distancereduite",
         "time": "heure horodatage",
         "air_temperature_c": "temperatureair temperaturedelair",
@@ -80,15 +82,14 @@ FOREIGN_TITLES_BY_LANGUAGE = {
         "estaciondelinstrumento posicioninstrumento posiciondelinstrumento pontoestacao pontodeestacao",
         "round": "ronda vuelta epoca",
         "target": "punto puntovisado puntoobservado objetivo ponto pontovisado pontoobservado alvo nombre nome",
-        "horizontal": "anghor anghoriz anghorizontal anghz angulohor angulohorizontal angulohz "
+        "horizontal": "anghoriz angulohor angulohorizontal angulohz "
         "lecturahorizontal lecturahz direccionhorizontal leiturahorizontal "
         "direcaohorizontal",
         "azimuth": "acimut azimute",
-        "vertical": "angvert angvertical angulovert angulovertical lecturavertical leituravertical",
-        "zenith": "angcenital angzenital angulocenital distanciacenital cenital angulozenital distanciazenital",
+        "vertical": "angulovert angulovertical lecturavertical leituravertical",
+        "zenith": "angulocenital distanciacenital cenital angulozenital distanciazenital",
         "elevation": "angulodeelevacion anguloelevacion angulodealtura elevacion angulodeelevacao elevacao",
-        "distance": "distanciageometrica distanciainclinada distancia distanciaespacial distinclinada "
-        "distgeom distgeometrica",
+        "distance": "distanciageometrica distanciainclinada distancia distanciaespacial distgeom distgeometrica",
         "flat": "distanciahorizontal distanciareducida distanciareduzida",
         "date": "fecha",
         "time": "hora horario",
@@ -268,3 +269,20 @@ HEIGHT_OWNER_WORDS_BY_ROLE = {
 """Words for the instrument and the target in titles of their heights, separated by blanks, by role of the column."""
 HEIGHT_TITLE_LINKS = ("", "of", "de", "del", "do", "du", "della", "dello", "dell")
 """Words between a word for a height and the instrument or target."""
+ROLE_BY_HEIGHT_TITLE = {
+    title: role
+    for role, owners in HEIGHT_OWNER_WORDS_BY_ROLE.items()
+    for owner, height in product(owners.split(), HEIGHT_WORDS.split())
+    for title in (owner + height, *(height + link + owner for link in HEIGHT_TITLE_LINKS))
+}
+"""Role (content) of a column of heights, by its title."""
+FULL_WORDS_BY_ABBREVIATION = {
+    "dist": ("distance", "distancia", "distanza"),
+    "ang": ("angle", "angulo", "angolo"),
+    "horiz": ("horizontal",),
+    "hor": ("horizontal",),
+    "vert": ("vertical",),
+}
+"""Words with which titles begin, by their abbreviation."""
+LETTERS_OF_HEIGHTS = {"i": "instrument_height_mm", "t": "target_height_mm"}
+"""Role (content) of a column of lengths whose title is a single letter."""
