@@ -13,7 +13,7 @@ import numpy as np
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.frame import StationTargetPairs
 from ltsim.adjustment.reference_tests import MAX_HORIZONTAL_TO_VERTICAL_RATIO
-from ltsim.adjustment.significance import MAX_TRACKER_ERROR
+from ltsim.adjustment.significance import MAX_TRACKER_ERROR, MIN_CERTAIN_ERROR_SIGMAS
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.notation import MAX_LISTED_ITEMS
 from ltsim.core.units import MILLIMETRE
@@ -103,6 +103,15 @@ def _distances_from_targets(adjustment: Adjustment, readings: Floats, rows: Ints
     return np.asarray(np.linalg.norm(_network_points_from_readings(adjustment, readings, rows) - goal, axis=1))
 
 
+def _tolerances(adjustment: Adjustment, rows: Ints) -> Floats:
+    """Largest distances (k,) [m] of the measured points of k pointings `rows` (k,) from their targets without blunder.
+
+    Errors of a tracker are below `MAX_TRACKER_ERROR`. Noise of a total station may be larger.
+    """
+    sigmas = np.nan_to_num(adjustment.problem.reading_sigmas * adjustment.sightings.displacement_per_reading)[rows]
+    return np.maximum(MAX_TRACKER_ERROR, MIN_CERTAIN_ERROR_SIGMAS * np.linalg.norm(sigmas, axis=1))
+
+
 def _swapped_targets(adjustment: Adjustment, is_gross: Bools) -> Iterator[BlunderWithCorrection]:
     """Blunders in target names: two targets exchanged at a station, or one target mistaken for another.
 
@@ -116,7 +125,7 @@ def _swapped_targets(adjustment: Adjustment, is_gross: Bools) -> Iterator[Blunde
         _network_points_from_readings(adjustment, recording.readings[indices], indices)[:, None] - points[None], axis=2
     )
     nearest_targets = np.argmin(gaps, axis=1)
-    lands = gaps[np.arange(len(indices)), nearest_targets] < MAX_TRACKER_ERROR
+    lands = gaps[np.arange(len(indices)), nearest_targets] < _tolerances(adjustment, indices)
     rows_by_pair: dict[tuple[int, int, int], list[int]] = {}
     for i in np.flatnonzero(lands & (nearest_targets != recording.target[indices])):
         a, b = sorted((int(recording.target[indices[i]]), int(nearest_targets[i])))
@@ -154,19 +163,20 @@ def _wrong_heights(adjustment: Adjustment, is_gross: Bools) -> Iterator[BlunderW
     plumb_lines = plumb_directions(recording)[recording.station[indices]]
     vertical_parts = np.einsum("ni,ni->n", point_deviations, plumb_lines)
     horizontal_parts = np.linalg.norm(point_deviations - vertical_parts[:, None] * plumb_lines, axis=1)
+    tolerances = _tolerances(adjustment, indices)
     is_vertical = horizontal_parts < np.minimum(
-        np.maximum(MAX_TRACKER_ERROR, MAX_HORIZONTAL_TO_VERTICAL_RATIO * np.abs(vertical_parts)),
+        np.maximum(tolerances, MAX_HORIZONTAL_TO_VERTICAL_RATIO * np.abs(vertical_parts)),
         adjustment.sightings.range_[indices],
     )
     lift = np.zeros((len(recording), 3))
     lift[indices] = vertical_parts[:, None] * plumb_lines
     new_readings = recording.readings - reading_change_by_displacement(adjustment.sightings, lift)
     rows_by_setup: dict[tuple[int, int, int], list[int]] = {}
-    for i in np.flatnonzero((np.abs(vertical_parts) > MAX_TRACKER_ERROR) & is_vertical):
+    for i in np.flatnonzero((np.abs(vertical_parts) > tolerances) & is_vertical):
         key = (
             int(recording.station[indices[i]]),
             int(recording.target[indices[i]]),
-            round(vertical_parts[i] / (2.0 * MAX_TRACKER_ERROR)),
+            round(vertical_parts[i] / (2.0 * tolerances[i])),
         )
         rows_by_setup.setdefault(key, []).append(int(i))
     for (s, t, _), members in rows_by_setup.items():
@@ -192,7 +202,7 @@ def _unit_and_face_errors(adjustment: Adjustment, is_gross: Bools) -> Iterator[B
     for effect, slip in ((effect, slip) for effect, slips in kinds for slip in slips):
         readings = slip.without_error(recording.readings)
         at = np.flatnonzero(is_gross & np.isfinite(readings).all(axis=1))
-        at = at[_distances_from_targets(adjustment, readings[at], at) < MAX_TRACKER_ERROR]
+        at = at[_distances_from_targets(adjustment, readings[at], at) < _tolerances(adjustment, at)]
         if len(at):
             stations = tuple(sorted({recording.stations[s] for s in recording.station[at]}))
             targets = tuple(sorted({recording.targets[t] for t in recording.target[at]}))

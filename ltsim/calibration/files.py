@@ -1,10 +1,10 @@
 """Files of a calibration: `calibration.json` and its tables, written completely or not at all."""
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
+from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.coordinate_uncertainty import (
     COVARIANCE_FILE_NAME,
     MAX_POINTS_IN_COVARIANCE_FILE,
@@ -40,42 +40,45 @@ def write_calibration(calibration: Calibration, folder: Path, *, with_stations: 
         If the folder cannot be written; no partial files remain.
     """
     texts: dict[str, str] = {}
-    if calibration.adjustment is not None and (covariance := point_covariance(calibration)) is not None:
-        texts[COVARIANCE_FILE_NAME] = named_covariance_csv_text(calibration.target_names, covariance)
     if with_stations:
-        texts |= _point_file_texts(calibration)
+        require_writable_covariance(calibration.adjustment)
+    if calibration.adjustment is not None:
+        covariance = point_covariance(calibration, with_stations=with_stations)
+        if covariance is not None:
+            points = np.concatenate([calibration.target_points, calibration.adjustment.state.station_positions])
+            texts |= covariance_file_texts(calibration.adjustment, points, covariance)
     return write_result(folder, calibration, texts)
 
 
-def _point_file_texts(calibration: Calibration) -> dict[str, str]:
-    """Contents of the files with targets and stations and with their joint covariance, by name of the file.
-
-    Raises ModelError for a calibration without network, and for too many points.
-    """
-    covariance = point_covariance(calibration, with_stations=True)
-    if calibration.adjustment is None or covariance is None:
+def require_writable_covariance(adjustment: Adjustment | None) -> None:
+    """Check that targets and stations are few enough for a covariance file; raises ModelError, also without network."""
+    if adjustment is None or len(point_names(adjustment, with_stations=True)) > MAX_POINTS_IN_COVARIANCE_FILE:
         raise ModelError(
             "the joint covariance of targets and stations is for the adjustment of a network with at most "
             f"{MAX_POINTS_IN_COVARIANCE_FILE} points"
         )
-    state = calibration.adjustment.state
-    points = np.concatenate([calibration.target_points, state.station_positions])
-    return point_file_texts(point_names(calibration.adjustment, with_stations=True), points, covariance)
 
 
-def point_file_texts(names: Sequence[str], points: Floats, covariance: Floats) -> dict[str, str]:
-    """Contents of `points.csv` and `points.covariance.csv` of P points, by name of the file.
+def covariance_file_texts(adjustment: Adjustment, points: Floats, covariance: Floats) -> dict[str, str]:
+    """Contents of `targets.covariance.csv`, `points.csv` and `points.covariance.csv`, by name of the file.
 
-    `points` (P, 3) [m] are the coordinates, and `covariance` (3 P, 3 P) [m^2] their joint covariance, with NaN for an
-    undetermined coordinate. A point without a determined coordinate has no row.
+    `points` (T + S, 3) [m] are the coordinates of T targets and S stations. `covariance` [m^2] is the joint covariance
+    of all these points, or of the targets alone, (3 T, 3 T): then the result is `targets.covariance.csv` only. The
+    variance is NaN for an undetermined coordinate. A point without a determined coordinate has no row in `points.csv`.
     """
+    targets = adjustment.recording.targets
+    n_target_coordinates = 3 * len(targets)
+    target_covariance = covariance[:n_target_coordinates, :n_target_coordinates]
+    texts = {COVARIANCE_FILE_NAME: named_covariance_csv_text(targets, target_covariance)}
+    if len(covariance) == n_target_coordinates:
+        return texts
+    names = point_names(adjustment, with_stations=True)
     sigmas = np.sqrt(np.diag(covariance)).reshape(-1, 3)
     numbers = np.concatenate([np.where(np.isfinite(sigmas), points, np.nan), sigmas], axis=1) / MILLIMETRE
     rows = [[name, *row] for name, row in zip(names, numbers.tolist(), strict=True) if np.isfinite(row).any()]
-    return {
-        POINTS_TABLE.file: POINTS_TABLE.with_rows(rows).csv_text(),
-        POINTS_COVARIANCE_FILE_NAME: named_covariance_csv_text(names, covariance),
-    }
+    texts[POINTS_TABLE.file] = POINTS_TABLE.with_rows(rows).csv_text()
+    texts[POINTS_COVARIANCE_FILE_NAME] = named_covariance_csv_text(names, covariance)
+    return texts
 
 
 def read_targets(file: Path) -> tuple[tuple[str, ...], Floats, Floats]:

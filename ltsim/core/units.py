@@ -38,6 +38,7 @@ SI_PER_UNIT = MappingProxyType(
         "m": 1.0,
         "in": 0.0254,
         "ft": 0.3048,
+        "usft": 1200 / 3937,
         "urad": MICRORADIAN,
         "mrad": 1e-3,
         "arcsec": ARCSECOND,
@@ -45,6 +46,7 @@ SI_PER_UNIT = MappingProxyType(
         "mgon": GON * 1e-3,
         "deg": DEGREE,
         "gon": GON,
+        "mil": math.pi / 3200,
         "rad": 1.0,
         "ppm": PPM,
         "um/m": PPM,
@@ -68,8 +70,8 @@ SI_PER_UNIT = MappingProxyType(
 """Size of each unit in SI units, by the name of the unit. Pressures remain in hPa."""
 
 CONVERTIBLE_UNIT_GROUPS = (
-    frozenset({"um", "mm", "cm", "m", "in", "ft"}),
-    frozenset({"urad", "mrad", "arcsec", "cc", "mgon", "deg", "gon", "rad"}),
+    frozenset({"um", "mm", "cm", "m", "in", "ft", "usft"}),
+    frozenset({"urad", "mrad", "arcsec", "cc", "mgon", "deg", "gon", "mil", "rad"}),
     frozenset({"ms", "s", "min", "h"}),
     frozenset({"um/m", "ppm"}),
 )
@@ -81,7 +83,8 @@ _SPELLINGS_BY_UNIT = MappingProxyType(
         "d_m_s.s dd_mm_ss.s ddd_mm_ss ddd_mm_ss.s d:m:s dd:mm:ss ddd:mm:ss d-m-s dd-mm-ss ddd-mm-ss dddmmss",
         "arcsec": "arcsec arcseconds ″", "cc": "cc", "mgon": "mgon",
         "urad": "urad µrad μrad", "mrad": "mrad", "mm": "mm millimeter millimeters millimetre millimetres",
-        "m": "m meter meters metre metres", "in": "in inch inches zoll \"", "cm": "cm", "ft": "ft feet foot",
+        "m": "m meter meters metre metres", "in": "in inch inches zoll \"", "cm": "cm", "ft": "ft feet foot ift",
+        "usft": "usft ftus us_ft us_survey_feet us_survey_foot", "mil": "mil mils",
         "um": "um µm μm micron microns", "s": "s sec second seconds sek", "ms": "ms", "min": "min", "h": "h hr hours",
         "c": "c °c degc", "hpa": "hpa mbar", "%": "% pct",
     }
@@ -91,9 +94,9 @@ UNIT_BY_SPELLING = MappingProxyType(
     {word.replace("_", " "): unit for unit, words in _SPELLINGS_BY_UNIT.items() for word in words.split()}
 )
 """Unit by its spelling in lower case; `dms` means degrees, minutes and seconds in one cell."""
-ANGLE_UNITS = ("deg", "gon", "rad", "dms")
+ANGLE_UNITS = ("deg", "gon", "rad", "dms", "mil")
 """Units of angles in files; `dms` means degrees, minutes and seconds in one cell."""
-LENGTH_UNITS = ("mm", "m", "in", "cm", "ft", "um")
+LENGTH_UNITS = ("mm", "m", "in", "cm", "ft", "usft", "um")
 """Units of lengths in files."""
 SMALL_ANGLE_UNITS = ("arcsec", "cc", "mgon", "urad", "mrad", "deg", "gon", "rad")
 """Units of small angles in files, such as standard deviations."""
@@ -101,8 +104,9 @@ _PI = Decimal("3.14159265358979323846264338327950288")
 """Pi with 36 digits, for exact conversions of angles."""
 _FULL_CIRCLE_BY_UNIT = MappingProxyType(
     {
-        "deg": Decimal(360), "dms": Decimal(360), "gon": Decimal(400), "rad": 2 * _PI, "mrad": 2000 * _PI,
-        "urad": 2_000_000 * _PI, "arcsec": Decimal(1_296_000), "cc": Decimal(4_000_000), "mgon": Decimal(400_000),
+        "deg": Decimal(360), "dms": Decimal(360), "gon": Decimal(400), "mil": Decimal(6400), "rad": 2 * _PI,
+        "mrad": 2000 * _PI, "urad": 2_000_000 * _PI, "arcsec": Decimal(1_296_000), "cc": Decimal(4_000_000),
+        "mgon": Decimal(400_000),
     }
 )  # fmt: skip
 """Size of a full circle, by the unit of the angle."""

@@ -5,14 +5,10 @@ from pathlib import Path
 import numpy as np
 
 from ltsim.adjustment.coordinate_uncertainty import (
-    COVARIANCE_FILE_NAME,
     MAX_POINTS_IN_COVARIANCE_FILE,
-    named_covariance_csv_text,
-    point_names,
     reported_joint_covariance,
 )
-from ltsim.calibration.files import point_file_texts
-from ltsim.core.errors import ModelError
+from ltsim.calibration.files import covariance_file_texts, require_writable_covariance
 from ltsim.diagnosis.diagnosis import RECORDING_FOLDER_NAME, Diagnosis
 from ltsim.recordings.native import recording_texts
 from ltsim.recordings.recording import Recording
@@ -38,29 +34,15 @@ def write_diagnosis(
     """
     texts: dict[str, str] = {}
     adjustment, targets = diagnosis.final_adjustment, diagnosis.targets
-    if len(adjustment.recording.targets) <= MAX_POINTS_IN_COVARIANCE_FILE:
-        covariance = reported_joint_covariance(adjustment, targets.weighted_deviations_by_explanation)
-        texts[COVARIANCE_FILE_NAME] = named_covariance_csv_text(adjustment.recording.targets, covariance)
+    deviations = targets.weighted_deviations_by_explanation
     if with_stations:
-        texts |= _point_file_texts(diagnosis)
+        require_writable_covariance(adjustment)
+        deviations = np.concatenate([deviations, targets.weighted_station_deviations_by_explanation], axis=1)
+    if len(adjustment.recording.targets) <= MAX_POINTS_IN_COVARIANCE_FILE:
+        covariance = reported_joint_covariance(adjustment, deviations, with_stations=with_stations)
+        points = np.concatenate([targets.points, targets.station_positions])
+        texts |= covariance_file_texts(adjustment, points, covariance)
     if recording is not None:
         copied = recording_texts(recording, folder / RECORDING_FOLDER_NAME)
         texts |= {f"{RECORDING_FOLDER_NAME}/{name}": text for name, text in copied.items()}
     return write_result(folder, diagnosis, texts)
-
-
-def _point_file_texts(diagnosis: Diagnosis) -> dict[str, str]:
-    """Contents of the files with targets and stations and with their joint covariance, by name of the file.
-
-    Raises ModelError for too many points.
-    """
-    adjustment, targets = diagnosis.final_adjustment, diagnosis.targets
-    names = point_names(adjustment, with_stations=True)
-    if len(names) > MAX_POINTS_IN_COVARIANCE_FILE:
-        raise ModelError(
-            f"the joint covariance of targets and stations is for at most {MAX_POINTS_IN_COVARIANCE_FILE} points, and "
-            f"the network has {len(names)}"
-        )
-    deviations = [targets.weighted_deviations_by_explanation, targets.weighted_station_deviations_by_explanation]
-    covariance = reported_joint_covariance(adjustment, np.concatenate(deviations, axis=1), with_stations=True)
-    return point_file_texts(names, np.concatenate([targets.points, targets.station_positions]), covariance)

@@ -1,5 +1,6 @@
 """Two lists of coordinates with the same axes and spellings of names, and checks of their common points and units."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -121,7 +122,7 @@ def _require_same_units(first: EpochCoordinates, second: EpochCoordinates) -> No
     arms = [points - points.mean(axis=0) for points in (before, after)]
     extents = [float(np.sqrt(np.mean(arm**2))) for arm in arms]
     units = [SI_PER_UNIT[unit] for unit in LENGTH_UNITS]
-    ratios = np.array([a / b for a in units for b in units if a != b])
+    ratios = np.array([a / b for a in units for b in units if not math.isclose(a, b, rel_tol=1e-3)])
     scale = extents[1] / extents[0] if all(extents) else 1.0
     if np.abs(scale / ratios - 1.0).min() > MIN_RELATIVE_DISAGREEMENT_OF_WRONG_LENGTHS:
         return

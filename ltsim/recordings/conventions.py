@@ -222,6 +222,7 @@ def _convention_from_lengths(
 
 def _raise_missing_hint(polar: PolarReadings, candidates: list[AngleConvention], file: object) -> NoReturn:
     """RecordError that lists the `candidates` and the options to type; the function always raises it."""
+    candidates = sorted(candidates, key=lambda candidate: FULL_CIRCLE_BY_UNIT[candidate[0]])  # directions fill circles
     has_common_unit = len({a for a, _ in candidates}) == 1
     kinds = [f"{k if np.isfinite(polar.vertical_angles).any() else 'horizontal'} angles" for _, k in candidates]
     choices = " or ".join(k if has_common_unit else f"{k} in {a}" for k, (a, _) in zip(kinds, candidates, strict=True))

@@ -127,6 +127,11 @@ class Sightings:
         """Ideal (error-free) elevation in face 1 of each of n pointings, (n,) [rad]."""
         return self.ideal_front_face_readings[:, 2]
 
+    @property
+    def displacement_per_reading(self) -> Floats:
+        """Displacements (n, 3) of the points of n pointings by unit errors of ranges [m/m] and of angles [m/rad]."""
+        return np.stack([np.ones_like(self.range_), self.range_ * np.cos(self.elevation), self.range_], axis=1)
+
     @cached_property
     def face_sign(self) -> Floats:
         """Sign (n,) of the face of each of n pointings: +1 for face 1, -1 for face 2."""

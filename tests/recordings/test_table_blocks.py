@@ -167,3 +167,62 @@ def test_advice_without_a_header_offers_angles_and_coordinates(tmp_path: Path) -
 def test_angles_without_distances_and_stations_are_read(tmp_path: Path) -> None:
     recording = read_text(tmp_path / "a.csv", "Point;Hz [gon];V [gon]\nP1;10.5;98.5\nP2;120.5;101.5\n")
     assert recording.stations == ("S1",)
+
+
+@pytest.mark.parametrize(
+    ("instrument", "target"),
+    [("Instrument Ht", "Target Ht"), ("Inst. Hgt", "Refl. Hgt"), ("Alt. instr.", "Alt. prisma"), ("H. Inst", "Rod Ht")],
+)
+def test_titles_of_heights_may_be_abbreviated(tmp_path: Path, instrument: str, target: str) -> None:
+    header = f"Station;Point;Hz [gon];Zenith [gon];SD [m];{instrument};{target}"
+    recording = read_text(tmp_path / "a.csv", f"{header}\nA;P;10.5;98.5;12.3456;1.683;1.3\n")
+    assert recording.covariates["instrument_height_mm"].tolist() == [1683.0]
+    assert recording.covariates["target_height_mm"].tolist() == [1300.0]
+
+
+def test_a_line_of_heights_between_rows_with_blanks_is_no_pointing(tmp_path: Path) -> None:
+    header = "Point Hz[gon] Zenith[gon] SD[m] TH[m]"
+    rows = ["Station: A", "Instrument height: 1.55", header, "P 10.5 98.5 12.3456 1.3"]
+    rows += ["Station: 102", "Instrument height: 1.65", header, "P 11.5 98.5 12.3456 1.3"]
+    recording = read_text(tmp_path / "a.txt", "\n".join(rows) + "\n")
+    assert recording.stations == ("A", "102")
+    assert recording.covariates["instrument_height_mm"].tolist() == [1550.0, 1650.0]
+    with pytest.raises(RecordError, match="row 9: 4 fields, expected 5 as in the header"):
+        read_text(tmp_path / "a.txt", "\n".join([*rows, "P 10.5 98.5 12.3456"]) + "\n")
+
+
+def test_distances_may_have_the_title_s(tmp_path: Path) -> None:
+    recording = read_text(tmp_path / "a.csv", "Station;Point;Hz [gon];Zenith [gon];S\nA;P;10.5;98.5;12.3456\n")
+    np.testing.assert_allclose(recording.readings[:, 0], 12.3456)
+    named = read_text(tmp_path / "b.csv", "Station;Point;Hz [gon];Zenith [gon];S;SD [m]\nA;P;10.5;98.5;1;12.3456\n")
+    np.testing.assert_allclose(named.readings[:, 0], 12.3456)
+
+
+def test_mils_and_survey_feet_are_units(tmp_path: Path) -> None:
+    header = "Station;Point;Hz [mil];Zenith [mil];SD (usft)"
+    recording = read_text(tmp_path / "a.csv", f"{header}\nA;P;1600.0;1500.0;3937.00\n")
+    expected = np.array([[1200.0, 1.5 * np.pi, np.pi / 32]])
+    np.testing.assert_allclose(recording.readings % [2000, 2 * np.pi, 2 * np.pi], expected)
+
+
+def test_row_numbers_are_no_targets(tmp_path: Path) -> None:
+    rows = [f"{4 * s + k};P{k};{'AB'[s]};{10 * k + s};98.{k};1{k}.3456" for s in range(2) for k in range(1, 5)]
+    text = "\n".join(["Nr.;Bezeichnung;Standpunkt;Hz [gon];Zenith [gon];D [m]", *rows]) + "\n"
+    with pytest.raises(RecordError, match=r'numbers the rows.*give --columns "target=Bezeichnung"'):
+        read_text(tmp_path / "a.csv", text)
+    recording = read_text(tmp_path / "a.csv", text, Hints(columns="target=Bezeichnung"))
+    assert recording.targets == ("P1", "P2", "P3", "P4")
+
+
+def test_words_in_titles_may_be_abbreviated(tmp_path: Path) -> None:
+    header = "Station;Point;Horiz. Angle [gon];Ang. Zenital [gon];Dist. suivant pente;i [m];t [m]"
+    recording = read_text(tmp_path / "a.csv", f"{header}\nA;P;10.5;98.5;12.3456;1.683;1.3\n")
+    np.testing.assert_allclose(recording.readings, [[12.3456, 389.5 * np.pi / 200, 1.5 * np.pi / 200]])
+    assert recording.covariates["instrument_height_mm"].tolist() == [1683.0]
+    assert recording.covariates["target_height_mm"].tolist() == [1300.0]
+
+
+def test_the_proposed_unit_of_small_angles_is_radian(tmp_path: Path) -> None:
+    rows = [f"{s};P{k};{0.9 * k + s};1.5{k};1{k}.3456" for s in range(2) for k in range(1, 5)]
+    with pytest.raises(RecordError, match="therefore give --hint angle=rad"):
+        read_text(tmp_path / "a.csv", "\n".join(["Station;Target;H;V;D", *rows]) + "\n")

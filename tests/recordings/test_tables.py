@@ -264,7 +264,7 @@ def test_wrong_tables_are_refused_in_a_sentence(tmp_path: Path, text: str, says:
 @pytest.mark.parametrize(
     ("wanted", "says"),
     [
-        ("azimuth=D[furlong]", "expected one of the units deg, gon, rad, dms for azimuth"),
+        ("azimuth=D[furlong]", "expected one of the units deg, gon, rad, dms, mil for azimuth"),
         ("colour=D", "expected ROLE=HEADER[UNIT] with a role among station, target"),
         ("azimuth=Z[deg],elevation=E[deg]", "does not say what its columns contain"),
     ],

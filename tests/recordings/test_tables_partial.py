@@ -68,8 +68,8 @@ def test_words_for_faces(tmp_path: Path) -> None:
 
 
 def test_an_unknown_unit_is_named(tmp_path: Path) -> None:
-    with pytest.raises(RecordError, match=r"column 'Hz \[mil\]' has the unknown unit 'mil'; convert it to one of deg"):
-        read_rows(tmp_path / "a.csv", ROWS, HEADER.replace("gon", "mil"))
+    with pytest.raises(RecordError, match=r"'Hz \[turn\]' has the unknown unit 'turn'; convert it to one of deg"):
+        read_rows(tmp_path / "a.csv", ROWS, HEADER.replace("gon", "turn"))
 
 
 def test_a_sheet_of_coordinates_next_to_readings(tmp_path: Path) -> None:

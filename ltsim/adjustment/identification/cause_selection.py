@@ -25,7 +25,6 @@ from ltsim.adjustment.identification.hypothesis import (
     ReferenceOmission,
 )
 from ltsim.adjustment.identification.model_changes import apply_corrections_and_omissions
-from ltsim.adjustment.identification.reading_shifts import displacement_per_reading
 from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, MAX_TRACKER_ERROR, MIN_LOG_EVIDENCE_CERTAIN
 from ltsim.adjustment.station_motions import FittedMotion, SuddenMotion
 from ltsim.core.arrays import Floats
@@ -74,7 +73,7 @@ def largest_displacement(fit: NetworkFit, hypothesis: CauseHypothesis) -> float:
     if not isinstance(change, ReadingShiftChange):
         return 0.0
     displacements = np.abs(change.effect.design(sightings) @ fit.estimate_and_covariance(hypothesis)[0])
-    return float(np.max(displacements * displacement_per_reading(sightings)))
+    return float(np.max(displacements * sightings.displacement_per_reading))
 
 
 def has_larger_noise_of_all_readings(fit: NetworkFit) -> bool:

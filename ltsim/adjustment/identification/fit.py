@@ -31,7 +31,6 @@ from ltsim.adjustment.identification.model_changes import (
     start_parameter_values,
     subtract_shifts,
 )
-from ltsim.adjustment.identification.reading_shifts import displacement_per_reading
 from ltsim.adjustment.identification.resection import resect_contradicted_setups
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.problem import NetworkProblem
@@ -358,7 +357,7 @@ class NetworkFit:
     @property
     def is_gross_reading(self) -> Bools:
         """Flags (n, 3) of n pointings, True for readings whose residual is a displacement above `MAX_TRACKER_ERROR`."""
-        displacements = np.abs(np.nan_to_num(self.residuals)) * displacement_per_reading(self.adjustment.sightings)
+        displacements = np.abs(np.nan_to_num(self.residuals)) * self.adjustment.sightings.displacement_per_reading
         return displacements > MAX_TRACKER_ERROR
 
     @cached_property

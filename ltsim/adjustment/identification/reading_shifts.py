@@ -90,9 +90,3 @@ class ReadingShift(LinearEffect):
         return Linearisation(
             design @ parameter_values, design, (scaled, pose_jacobian(scaled, sightings.sight_vectors))
         )
-
-
-def displacement_per_reading(sightings: Sightings) -> Floats:
-    """Displacements (n, 3) of the points of n pointings by unit errors of range [m/m], azimuth, elevation [m/rad]."""
-    range_ = sightings.range_
-    return np.stack([np.ones_like(range_), range_ * np.cos(sightings.elevation), range_], axis=1)

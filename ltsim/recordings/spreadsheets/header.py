@@ -14,7 +14,10 @@ from ltsim.recordings.spreadsheets.title_words import (
     EAST_ASIAN_LETTERS,
     FALLBACK_TITLES,
     FOREIGN_TITLES_BY_LANGUAGE,
+    FULL_WORDS_BY_ABBREVIATION,
+    LETTERS_OF_HEIGHTS,
     NUMBER_TITLE_ENDINGS,
+    ROLE_BY_HEIGHT_TITLE,
     STATION_TITLE_FIRST_WORDS,
     STATION_TITLE_LAST_WORDS,
     TITLES_BY_ROLE,
@@ -44,6 +47,7 @@ SIGMA_ROLES = {
 The role of a column is its content, such as `azimuth`."""
 ROLE_BY_TITLE = {
     **{instrument + place: "station" for instrument in STATION_TITLE_FIRST_WORDS for place in STATION_TITLE_LAST_WORDS},
+    **ROLE_BY_HEIGHT_TITLE,
     **{
         word: role
         for words in (TITLES_BY_ROLE, *FOREIGN_TITLES_BY_LANGUAGE.values())
@@ -160,6 +164,8 @@ def _compute_header_columns(fields: tuple[str, ...]) -> list[TableColumn]:
         "y",
     }:  # Z beside Hz and D is no height
         candidates = [replace(c, role="vertical") if c.role == "z" and not c.unit else c for c in candidates]
+    if _count_reading_kinds(candidates) == 2 and not roles & {*DISTANCE_ROLES, "x", "y"}:  # S beside Hz and V
+        candidates = [replace(c, role="distance") if _is_titled_s(c) else c for c in candidates]
     two_face_roles = {c.role for c in candidates if c.face == 1} & {c.role for c in candidates if c.face == 2}
     is_polar = _count_reading_kinds(candidates) > 1
     titles_by_role = {
@@ -190,6 +196,11 @@ def _compute_header_columns(fields: tuple[str, ...]) -> list[TableColumn]:
             used_roles.add((assigned.role, assigned.face))
         columns.append(assigned)
     return distinct_titles(columns)
+
+
+def _is_titled_s(column: TableColumn) -> bool:
+    """True for a column with the title S and no unit other than that of a length."""
+    return title_words_and_unit(column.title)[0] == "s" and column.unit in ("", *LENGTH_UNITS)
 
 
 def _with_distance_sigma_role(column: TableColumn) -> TableColumn:
@@ -339,6 +350,11 @@ def title_role(name: str) -> str:
     number_match = _NUMBER_ENDING_PATTERN.fullmatch(name)
     if number_match is not None and ROLE_BY_TITLE.get(number_match[1]) in ROLES_WITH_NUMBER_ENDINGS:
         return ROLE_BY_TITLE[number_match[1]]
+    for abbreviation, words in FULL_WORDS_BY_ABBREVIATION.items():
+        if name.startswith(abbreviation):
+            titles = (word + name.removeprefix(abbreviation) for word in words)
+            if role := next((ROLE_BY_TITLE[title] for title in titles if title in ROLE_BY_TITLE), ""):
+                return role
     stems = [match[1] for form in _SIGMA_TITLE_PATTERN if (match := form.fullmatch(name))]
     return next((SIGMA_ROLES[ROLE_BY_TITLE[stem]] for stem in stems if ROLE_BY_TITLE.get(stem) in SIGMA_ROLES), "")
 
@@ -352,7 +368,7 @@ def normalised_title(text: str) -> str:
 def _column_from_title(position: int, title: str, *, has_face: bool = True) -> TableColumn:
     """Column at `position` with the role (content), unit and, if `has_face`, face that its title implies."""
     name, unit = title_words_and_unit(title)
-    role, face = title_role(name), 0
+    role, face = title_role(name) or (LETTERS_OF_HEIGHTS.get(name, "") if unit in LENGTH_UNITS else ""), 0
     face_match = _FACE_NUMBER_PATTERN.fullmatch(name) if has_face and not role else None
     if face_match is not None:
         role = title_role(face_match.group(1))

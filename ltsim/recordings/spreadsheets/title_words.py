@@ -5,6 +5,7 @@ letters with an accent, are omitted. East Asian titles are unchanged.
 """
 
 from collections.abc import Sequence
+from itertools import product
 
 EAST_ASIAN_LETTERS = "\u3040-\u30ff\u3400-\u9fff\uac00-\ud7a3"
 """Ranges of Japanese (hiragana, katakana), Chinese (ideographs) and Korean (syllables) letters, for a regular
@@ -13,7 +14,7 @@ expression."""
 COMMON_SIGMA_ROLE = "sigma_mm"
 """Role of a column with one standard deviation for all three coordinates."""
 TITLES_BY_ROLE = {
-    "station": "station stn st setup standpunkt stp stand standort stationname stationid stationnr stationno "
+    "station": "station stn st setup occupy standpunkt stp stand standort stationname stationid stationnr stationno "
     "stationnumber stationpoint stationpointid setuppoint setuppointid standpunktnr standpunktnummer "
     "standpunktname atstation occupied occupiedpoint occupiedstation occpt occpoint "
     "from fromstn fromstation frompoint frompointid von instrument instrumentname "
@@ -22,19 +23,19 @@ TITLES_BY_ROLE = {
     "target": "target point pt name punkt pkt punktnummer punktnr punktid punktno pktnummer pktnr punktname pnr "
     "pointname pointid pointnumber pointno "
     "pointnr ptid ptno ptnr ptname targetname targetid feature featurename id to tostn tostation "
-    "topoint topointid observed observedpoint sighted sightedpoint nach reflector smr "
+    "topoint topointid observed observedpoint sight sighted sightedpoint nach reflector smr "
     "zielpunkt zielpunktnr zielpunktnummer ziel nest nr nummer no",
     "face": "face f lage kreislage circlelage visierlage",
     "repeat": "repeat repetition rep wiederholung",
     "round": "round runde obsset satz set setnumber setno setnr satznummer satznr vollsatz serie series "
     "measurementround obsround messrunde durchgang epoch epoche messepoche",
-    "horizontal": "hz ha hor horizontal horizontalangle hzangle horizontalrichtung hzrichtung richtung direction "
+    "horizontal": "hz ha horizontal horizontalangle hzangle horizontalrichtung hzrichtung richtung direction "
     "horizontalwinkel hzwinkel hcircle hzcircle horizontalcircle bearing",
     "azimuth": "azimuth az azimut azi azimuthangle azimutwinkel",
     "vertical": "v va vz vertical verticalangle vertikalwinkel vwinkel vangle vzangle vcircle verticalcircle",
     "zenith": "zenith za zd zen zenithangle zenit zenitwinkel zenitdistanz zenithdistance",
     "elevation": "elevation el elev elevationangle hohenwinkel hoehenwinkel altitudeangle elevationswinkel",
-    "distance": "distance dist d sd slopedist slopedistance slope range r schragdistanz schraegdistanz "
+    "distance": "distance d sd slopedist slopedistance slope range r schragdistanz schraegdistanz "
     "schragstrecke schraegstrecke strecke distanz raumstrecke distance3d sdist "
     "schragentfernung schraegentfernung raumdistanz",
     "flat": "hd horizontaldistance horizontaldist horizontalstrecke horizontaldistanz hdist",
@@ -44,12 +45,9 @@ TITLES_BY_ROLE = {
     COMMON_SIGMA_ROLE: "sigma stddev std sigmaxyz",
     "time": "time zeit timestamp zeitstempel zeitpunkt datetime utc uhrzeit clock clocktime times measuredat",
     "date": "date datum day tag",
-    "instrument_height_mm": "instrumentheight heightofinstrument insthgt insthgtm ih hi fromhgt stationheight "
-    "instrumentenhohe instrumentenhoehe instrumenthohe geratehohe geraetehoehe "
-    "kippachshohe standpunkthohe",
-    "target_height_mm": "targetheight heightoftarget heightofprism heightofreflector tohgt th ht hr "
-    "reflectorheight prismheight rodheight zielhohe zielhoehe zielpunkthohe reflektorhohe "
-    "prismenhohe tafelhohe zh",
+    "instrument_height_mm": "ih hi fromhgt insthgtm stationheight stationshojd standpunkthohe hauteurstation "
+    "altezzastazione",
+    "target_height_mm": "tohgt th ht hr zh hv hp",
     "instrument_setup": "isetupid instrumentsetup instrumentsetupid",
     "target_setup": "tsetupid targetsetup targetsetupid",
     "air_temperature_c": "airtemperature airtemp lufttemperatur",
@@ -73,11 +71,9 @@ FOREIGN_TITLES_BY_LANGUAGE = {
         "zenith": "anglezenithal distancezenithale zenithal",
         "elevation": "angledesite anglesite site angledelevation angledehauteur hauteurangulaire",
         "distance": "distanceinclinee distanceoblique distancesuivantpente distancepente distancespatiale "
-        "distanceselonlapente distinclinee distincl",
+        "distanceselonlapente distincl",
         "flat": "distancehorizontale distancereduite",
         "time": "heure horodatage",
-        "instrument_height_mm": "hauteurinstrument hauteurdelinstrument hauteurappareil hauteurstation",
-        "target_height_mm": "hauteurprisme hauteurduprisme hauteurcible hauteurvoyant hauteurreflecteur",
         "air_temperature_c": "temperatureair temperaturedelair",
         "air_pressure_hpa": "pression pressionatmospherique",
         "relative_humidity_pct": "humidite humiditerelative",
@@ -87,22 +83,17 @@ FOREIGN_TITLES_BY_LANGUAGE = {
         "estaciondelinstrumento posicioninstrumento posiciondelinstrumento pontoestacao pontodeestacao",
         "round": "ronda vuelta epoca",
         "target": "punto puntovisado puntoobservado objetivo ponto pontovisado pontoobservado alvo nombre nome",
-        "horizontal": "anghor anghoriz anghorizontal anghz angulohor angulohorizontal angulohz "
+        "horizontal": "anghoriz angulohor angulohorizontal angulohz "
         "lecturahorizontal lecturahz direccionhorizontal leiturahorizontal "
         "direcaohorizontal",
         "azimuth": "acimut azimute",
-        "vertical": "angvert angvertical angulovert angulovertical lecturavertical leituravertical",
-        "zenith": "angcenital angzenital angulocenital distanciacenital cenital angulozenital distanciazenital",
+        "vertical": "angulovert angulovertical lecturavertical leituravertical",
+        "zenith": "angulocenital distanciacenital cenital angulozenital distanciazenital",
         "elevation": "angulodeelevacion anguloelevacion angulodealtura elevacion angulodeelevacao elevacao",
-        "distance": "distanciageometrica distanciainclinada distancia distanciaespacial distinclinada "
-        "distgeom distgeometrica",
+        "distance": "distanciageometrica distanciainclinada distancia distanciaespacial distgeom distgeometrica",
         "flat": "distanciahorizontal distanciareducida distanciareduzida",
         "date": "fecha",
         "time": "hora horario",
-        "instrument_height_mm": "alturainstrumento alturadelinstrumento alturadeinstrumento alturadoinstrumento "
-        "alturaaparato",
-        "target_height_mm": "alturaprisma alturadelprisma alturadeprisma alturadoprisma alturareflector alturaobjetivo "
-        "alturadoalvo",
         "air_temperature_c": "temperaturadelaire temperaturaaire temperaturadoar",
         "air_pressure_hpa": "presion presionatmosferica pressao pressaoatmosferica",
         "relative_humidity_pct": "humedad humedadrelativa umidade umidaderelativa humidaderelativa",
@@ -119,8 +110,6 @@ FOREIGN_TITLES_BY_LANGUAGE = {
         "distance": "distanzainclinata distanza distanzageometrica distanzaobliqua distinclinata",
         "flat": "distanzaorizzontale distanzaridotta",
         "time": "ora orario",
-        "instrument_height_mm": "altezzastrumento altezzadellostrumento altezzastazione",
-        "target_height_mm": "altezzaprisma altezzadelprisma altezzamira altezzasegnale",
         "air_temperature_c": "temperaturadellaria temperaturaaria",
         "air_pressure_hpa": "pressione pressioneatmosferica",
         "relative_humidity_pct": "umidita umiditarelativa",
@@ -133,8 +122,6 @@ FOREIGN_TITLES_BY_LANGUAGE = {
         "zenith": "zenithoek zenitafstand",
         "distance": "schuineafstand afstand",
         "flat": "horizontaleafstand",
-        "instrument_height_mm": "instrumenthoogte",
-        "target_height_mm": "prismahoogte reflectorhoogte",
     },
     "Swedish and Danish": {
         "station": "uppstallning stationspunkt opstilling",
@@ -144,8 +131,6 @@ FOREIGN_TITLES_BY_LANGUAGE = {
         "zenith": "zenitvinkel zenitdistans",
         "distance": "lutandelangd lutandeavstand skraafstand avstand afstand",
         "flat": "horisontellangd horisontalavstand horisontalafstand",
-        "instrument_height_mm": "instrumenthojd stationshojd instrumenthojde instrumenthjde",
-        "target_height_mm": "prismahojd reflektorhojd signalhojd prismehojde prismehjde",
     },
     "Polish": {
         "station": "stanowisko",
@@ -155,8 +140,6 @@ FOREIGN_TITLES_BY_LANGUAGE = {
         "zenith": "katzenitalny odlegosczenitalna",
         "distance": "odlegloscskosna odlegoscskosna",
         "flat": "odlegloscpozioma odlegoscpozioma",
-        "instrument_height_mm": "wysokoscinstrumentu",
-        "target_height_mm": "wysokoscpryzmatu wysokosclustra wysokoscustra wysokosccelu wysokoscsygnau",
     },
     "Czech and Slovak": {
         "station": "stanovisko stanoviste",
@@ -166,8 +149,6 @@ FOREIGN_TITLES_BY_LANGUAGE = {
         "zenith": "zenitovyuhel zenituhel zenitovyuhol zenitovavzdalenost",
         "distance": "sikmadelka sikmavzdalenost sikmadlzka",
         "flat": "vodorovnadelka vodorovnavzdalenost vodorovnadlzka",
-        "instrument_height_mm": "vyskapristroje vyskastroje vyskapristroja",
-        "target_height_mm": "vyskacile vyskaciela vyskahranolu",
     },
     "Hungarian": {
         "station": "allaspont",
@@ -178,8 +159,6 @@ FOREIGN_TITLES_BY_LANGUAGE = {
         "distance": "ferdetavolsag",
         "flat": "vizszintestavolsag",
         "time": "ido",
-        "instrument_height_mm": "muszermagassag",
-        "target_height_mm": "jelmagassag prizmamagassag",
     },
     "Japanese": {
         "station": "器械点 器械点名 機械点 機械点名 測站",
@@ -303,3 +282,36 @@ def axes_of_titles_with_common_word(titles: Sequence[str]) -> dict[int, str]:
                 positions_by_word.setdefault((word, is_prefix), {}).setdefault(letter, position)
     complete = [axes for axes in positions_by_word.values() if len(axes) == len(AXIS_LETTERS)]
     return {position: axis for axis, position in complete[0].items()} if len(complete) == 1 else {}
+
+
+HEIGHT_WORDS = (
+    "h height hgt hght ht hohe hoehe hauteur haut altura alt altezza hoogte hojd hojde hjde wysokosc vyska magassag"
+)
+"""Words for heights in titles of columns, separated by blanks."""
+HEIGHT_OWNER_WORDS_BY_ROLE = {
+    "instrument_height_mm": "instrument instr inst instrumenten gerate geraete kippachs appareil instrumento aparato "
+    "strumento instrumentu pristroje stroje pristroja muszer",
+    "target_height_mm": "target tgt prism prismen reflector refl reflektor rod pole signal ziel zielpunkt tafel prisme "
+    "cible voyant reflecteur prisma objetivo alvo bersaglio mira segnale pryzmatu lustra ustra celu sygnau cile ciela "
+    "hranolu jel prizma",
+}
+"""Words for the instrument and the target in titles of their heights, separated by blanks, by role of the column."""
+HEIGHT_TITLE_LINKS = ("", "of", "de", "del", "do", "du", "della", "dello", "dell")
+"""Words between a word for a height and the instrument or target."""
+ROLE_BY_HEIGHT_TITLE = {
+    title: role
+    for role, owners in HEIGHT_OWNER_WORDS_BY_ROLE.items()
+    for owner, height in product(owners.split(), HEIGHT_WORDS.split())
+    for title in (owner + height, *(height + link + owner for link in HEIGHT_TITLE_LINKS))
+}
+"""Role (content) of a column of heights, by its title."""
+FULL_WORDS_BY_ABBREVIATION = {
+    "dist": ("distance", "distancia", "distanza"),
+    "ang": ("angle", "angulo", "angolo"),
+    "horiz": ("horizontal",),
+    "hor": ("horizontal",),
+    "vert": ("vertical",),
+}
+"""Words with which titles begin, by their abbreviation."""
+LETTERS_OF_HEIGHTS = {"i": "instrument_height_mm", "t": "target_height_mm"}
+"""Role (content) of a column of lengths whose title is a single letter."""

@@ -94,6 +94,31 @@ def require_single_unnamed_setup(table: PointingTable, readings: Floats, file: o
         raise RecordError(message, file=file)
 
 
+def require_names_in_target_column(table: PointingTable, readings: Floats, file: object) -> None:
+    """Check that the column of targets of several set-ups does not number the rows beside a column of names.
+
+    No two rows then have the same target. The texts of a column of names recur at other stations, and the distances
+    from a station to a text agree. `readings` (n, 3) are ranges, azimuths and elevations of n pointings [m, rad, rad].
+    Raises RecordError, which names the column.
+    """
+    stations, numbers = table.pointings.station, table.column_with_role(("target",))
+    if numbers is None or len({*stations}) == 1 or len({*table.pointings.target}) < len(stations):
+        return
+    for column in (c for c in table.columns if c.is_additional and not c.role and not c.unit):
+        texts = table.pointings.additional_cell_texts(column.title)
+        sights, groups = distinct_with_indices(zip(stations, texts, strict=True))
+        if (
+            1 < len({*texts}) < len(sights)
+            and _median_spread(readings[:, 0], groups) <= MAX_RANGE_AND_ELEVATION_SPREAD_OF_SETUP[0]
+        ):
+            title = safe_excerpt(column.title)
+            message = (
+                f"column '{safe_excerpt(numbers.title)}' numbers the rows, so no two stations share a target; column "
+                f"'{title}' may name the targets: give --columns \"target={title}\""
+            )
+            raise RecordError(message, file=file)
+
+
 def ambiguous_target_name_notes(table: PointingTable, readings: Floats) -> list[str]:
     """Note, in a list, that names of targets denote several points, if ranges from a set-up differ; otherwise empty.
 

@@ -46,6 +46,7 @@ from ltsim.recordings.tables.interpretation import TableConventions, interpret_r
 from ltsim.recordings.tables.missing_names import (
     ambiguous_target_name_notes,
     name_targets_by_position,
+    require_names_in_target_column,
     require_single_unnamed_setup,
     with_placeholder_target_name,
 )
@@ -101,6 +102,7 @@ def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Re
     interpretation, readings = interpret_readings(table, poses, hints, path)
     table = name_targets_by_position(table, readings)
     require_single_unnamed_setup(table, readings, path)
+    require_names_in_target_column(table, readings, path)
     table.notes += ambiguous_target_name_notes(table, readings)
     if setup is not None:
         recording = assemble_recording(table, interpretation, readings, setup, hints, path)

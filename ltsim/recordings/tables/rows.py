@@ -203,12 +203,16 @@ class _SheetReader:
     def _is_measured(self, row: SheetRow) -> bool:
         """True if a row contains a pointing: a column of readings has a value, and the row is not a sum or mean."""
         fields = row.fields
-        if self._is_summary(fields):
+        if self._is_summary(fields) or self._has_missing_fields(row):
             return False
         for place in self.reading_positions:
             if place < len(fields) and (is_number(fields[place]) or cells.is_numeric(fields[place])):
                 return True
         return False
+
+    def _has_missing_fields(self, row: SheetRow) -> bool:
+        """True if a row has fewer fields than the header, and blanks between fields do not show which are empty."""
+        return len(row.fields) < len(self.header) and self.sheet.has_blanks_between_fields
 
     def _is_summary(self, fields: Sequence[str]) -> bool:
         """True if a row begins with a word for a sum or mean, and lacks the target or a reading."""
@@ -224,6 +228,8 @@ class _SheetReader:
         if self.station_context.read_line(row):
             if self.header and len(self.station_context.height_columns) > n_heights:
                 self._start_header(self.header, row.line)
+        elif self._has_missing_fields(row) and row.n_numeric_fields > 1:
+            raise self._field_count_error(row)
         elif not row.is_comment:
             self.table.unread_lines.append(f"line {row.line} of {self.sheet.file.name} ('{row}')")
 
@@ -232,12 +238,8 @@ class _SheetReader:
         if len(self.row_batch.line) == ROWS_PER_BATCH:
             self._convert_rows()
         width = len(self.header)
-        if any(row.fields[width:]) or (len(row.fields) < width and self.sheet.has_blanks_between_fields):
-            self._convert_rows()
-            message = f"{len(row.fields)} fields, expected {width} as in the header"
-            if self.sheet.has_blanks_between_fields:
-                message += "; titles and cells with blanks need another separator, such as ;"
-            raise SourceLocation(self.sheet.file, row.line).error(message)
+        if any(row.fields[width:]):
+            raise self._field_count_error(row)
         if len(self.columns) > width:
             heights = [self.station_context.heights.get(c.role, "") for c in self.columns[width:]]
             row = row._replace(fields=(*pad_cells(row.fields, width), *heights))
@@ -246,6 +248,14 @@ class _SheetReader:
             self.n_unnamed += not station and bool(self.station_context.station)
             self.station_context.station = station or self.station_context.station
         self.row_batch.add_row(row, self.station_context.station)
+
+    def _field_count_error(self, row: SheetRow) -> RecordError:
+        """Error on a row with more or fewer fields than the header, after conversion of the rows above."""
+        self._convert_rows()
+        message = f"{len(row.fields)} fields, expected {len(self.header)} as in the header"
+        if self.sheet.has_blanks_between_fields:
+            message += "; titles and cells with blanks need another separator, such as ;"
+        return SourceLocation(self.sheet.file, row.line).error(message)
 
     def _convert_rows(self) -> None:
         """Conversion, together, of all rows that are not yet converted to columns of pointings.

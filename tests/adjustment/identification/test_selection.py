@@ -371,8 +371,16 @@ def test_a_circle_that_was_turned_in_mid_work(angle: float) -> None:
     assert kind in ("orientation", "station-bump")  # a station that is turned turns its circle with it
 
 
-def test_exchanged_names_are_put_right() -> None:
+@pytest.mark.parametrize("distance_mm", [0.0, 1.0])
+def test_exchanged_names_are_put_right(distance_mm: float) -> None:
+    """Also with the noise of a total station, which is larger than errors of trackers."""
     recording, _ = hall()
+    noise = recording.setup.instrument.noise
+    noise = noise.model_copy(update={"distance_mm": np.hypot(noise.distance_mm, distance_mm)})
+    instrument = recording.setup.instrument.model_copy(update={"noise": noise})
+    recording = recording.replace(setup=recording.setup.model_copy(update={"instrument": instrument}))
+    errors = np.random.default_rng(1).normal(size=len(recording)) * 1e-3 * distance_mm
+    recording = shifted(recording, np.arange(len(recording)), 0, errors)
     target = recording.target.copy()
     rows = recording.station == 3
     target[rows & (recording.target == 2)], target[rows & (recording.target == 9)] = 9, 2
