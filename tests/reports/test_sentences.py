@@ -11,7 +11,7 @@ import pytest
 
 from ltsim.adjustment.identification.cause_selection import INFINITE_GAIN_SUBSTITUTE
 from ltsim.adjustment.identification.cause_tests import CausePlace, CauseTest
-from ltsim.campaigns.results import PairedDifference
+from ltsim.campaigns.results import CampaignResults, PairedDifference
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.recommendations import inspection_action
 from ltsim.diagnosis.schema import EquivalentEffect, Finding, FindingEvidence, FindingScope, Misfit, ParameterEstimate
@@ -205,13 +205,19 @@ def test_the_comparison_of_methods_counts_and_sizes_each_sign(sizes: tuple[float
     )
 
 
-def test_coverage_is_separate_where_the_noise_differs_from_the_declared_noise(tmp_path: Path) -> None:
+def test_coverage_is_separate_where_the_noise_differs_from_the_declared_noise(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One pass over the z-scores of the rows gives the key figures, the figures and the table."""
+    passes, scores = [], CampaignResults.iterate_z_score_summaries
+    monkeypatch.setattr(CampaignResults, "iterate_z_score_summaries", lambda r: passes.append(r) or scores(r))
     section = campaign_section(samples.campaign_folder(tmp_path / "campaign"))
     tiles = [fact.name for fact in section.key_figures if fact.name.startswith("coverage")]
     assert [name.partition(";")[0] for name in tiles] == [
         "coverage of 95 % intervals", "coverage of 95 % intervals with noise factor 2 (not declared)"
     ]  # fmt: skip
     assert all(name.partition("; ")[2].split(" ")[1].startswith("intervals") for name in tiles)
+    assert len(passes) == 1 and "z-scores of the parameters" in [block.title for block in section.blocks]
     values = [fact.value for fact in section.key_figures if fact.name in tiles]
     assert all(re.fullmatch(r"\d+\.\d %", value) for value in values), values
 
