@@ -159,6 +159,25 @@ def test_evidence_without_a_fall_of_chi_square_is_not_called_so() -> None:
     assert "p, corrected for the search: 0.0001" in evidence_lines(exchange, [measured])
 
 
+def test_a_law_with_the_scope_of_a_simple_cause_has_its_sentence_and_action() -> None:
+    """`check` advised to look at the clamping of S3, and `diagnose` to inspect S3 for a change of the azimuth."""
+    scope = FindingScope(observables=("azimuth",), stations=("S3",), targets=(), instruments=(), covariates=("time",))
+    law = {"effect": "unknown", "is_catalogued": False, "where": scope, "carrier": "azimuth"}
+    step = finding("outlier", "window").model_copy(update=law)
+    sentence = "The horizontal circle of S3 was turned by 12.3 arcsec."
+    turned = CauseTest(
+        kind="orientation", acts_on="azimuth", where=CausePlace(stations=("S3",)), statistic=9e3, dof=1,
+        sentence=sentence,
+    )  # fmt: skip
+    content = Diagnosis.model_validate_json(json.dumps(samples.DIAGNOSIS)).model_copy(update={"findings": (step,)})
+    action = "Check the clamping of the tracker at S3, and measure this set-up again."
+    assert next_actions_after_diagnosis(content.model_copy(update={"tests": (turned,)}))[0] == action
+    assert f"simple cause: {sentence}" in evidence_lines(step, [turned])
+    elsewhere = turned.model_copy(update={"where": CausePlace(stations=("S4",))})
+    assert next_actions_after_diagnosis(content.model_copy(update={"tests": (elsewhere,)}))[0].startswith("Inspect S3")
+    assert not any(line.startswith("simple cause") for line in evidence_lines(step, [elsewhere]))
+
+
 def prose(section: Section) -> list[str]:
     """Everything on a section that a person reads: answer, actions, notes, captions, cells."""
     return [
