@@ -231,6 +231,8 @@ def test_coverage_is_separate_where_the_noise_differs_from_the_declared_noise(
     passes, scores = [], CampaignResults.iterate_z_score_summaries
     monkeypatch.setattr(CampaignResults, "iterate_z_score_summaries", lambda r: passes.append(r) or scores(r))
     section = campaign_section(samples.campaign_folder(tmp_path / "campaign"))
+    n_rows = sum(comparison.trials for comparison in CampaignResults(tmp_path / "campaign").solver_comparisons())
+    assert [f.value for f in section.key_figures if f.name == "calibrations"] == [str(n_rows)]
     tiles = [fact.name for fact in section.key_figures if fact.name.startswith("coverage")]
     assert [name.partition(";")[0] for name in tiles] == [
         "coverage of 95 % intervals", "coverage of 95 % intervals with noise factor 2 (not declared)"

@@ -193,7 +193,7 @@ def _enumeration_text(texts: Sequence[str]) -> str:
 
 
 def _key_figures(results: CampaignResults, comparisons: Sequence[SolverComparison]) -> list[KeyFigure]:
-    """Key figures of a campaign: trials, combinations of factor levels, methods, failures, solvers."""
+    """Key figures of a campaign: calibrations (trials times methods), cells, methods, failures, solvers."""
     manifest = results.manifest
     failed = sum(comparison.failed_trials for comparison in comparisons)
     differences = [
@@ -202,7 +202,7 @@ def _key_figures(results: CampaignResults, comparisons: Sequence[SolverCompariso
         if comparison.largest_difference_sigma is not None
     ]
     facts = [
-        KeyFigure("trials", str(sum(comparison.trials for comparison in comparisons))),
+        KeyFigure("calibrations", str(sum(comparison.trials for comparison in comparisons))),
         KeyFigure("combinations of factor levels", str(len(manifest.cells))),
         KeyFigure("methods", ", ".join(manifest.methods)),
         KeyFigure("failed", str(failed), assessment_of(not failed)),
