@@ -130,9 +130,7 @@ def test_an_adjustment_says_that_the_instrument_is_still_in_its_coordinates(plai
 
 def test_an_error_of_the_constants_is_no_outlier() -> None:
     """The collimation error of a steep sight was reported as an outlier, with the action to measure it again."""
-    errors = {"beam-tilt": 60.0, "vertical-index": -35.0, "range-offset": 4.0}
-    recording, _ = lt.simulate(lt.scenario("paper-workshop-two-face", {"instrument.errors": errors}), seed=21)
-    adjusted = lt.adjust(recording)
+    adjusted = lt.adjust(lt.simulate("paper-workshop-two-face", seed=21).recording)
     assert adjusted.fit_with_constants is not None and (adjusted.fit_with_constants.p_value or 0.0) > 0.01
     assert adjusted.outliers == ()
     assert "No reading is an outlier if the instrument constants are estimated." in adjusted.verdict.sentence
