@@ -84,7 +84,7 @@ def _z_score_table(results: CampaignResults, scores: Sequence[ZScoreSummary]) ->
     text = "z: (estimate - true value) / declared sigma; correct sigmas give mean 0 and standard deviation 1. "
     text += "Coverage 95: fraction of the 95 % intervals that contain the true value; 0.95 is expected."
     table = Table.from_columns("z_scores", columns_from_rows(results.with_factor_levels(scores)))
-    return table_blocks("z-scores of the parameters", table, note=text)
+    return [*table_blocks("z-scores of the parameters", table, note=text)]
 
 
 def coverage_sentence(z_scores: Sequence[ZScoreSummary]) -> str:
