@@ -192,10 +192,9 @@ def adjust(
         source, ideal_construction(), robust, _noise_grouping(noise_from_data), datum_names, selection=selection
     )
     tests = cause_tests_of_adjustment(selection, adjustment)
-    options = {"recommend_measurements": False, "with_constants": _adjustment_with_instrument_constants(adjustment)}
-    return with_reported_uncertainty(
-        _make_calibration(source, adjustment, "adjustment", robust=robust, tests=tests, **options)
-    )
+    options: dict[str, Any] = {"recommend_measurements": False, "robust": robust, "tests": tests}
+    options["with_constants"] = _adjustment_with_instrument_constants(adjustment)
+    return with_reported_uncertainty(_make_calibration(source, adjustment, "adjustment", **options))
 
 
 def _adjustment_with_instrument_constants(adjustment: Adjustment) -> Adjustment | None:
