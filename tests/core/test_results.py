@@ -299,6 +299,6 @@ def test_a_copy_of_an_entry_refuses_a_name_that_is_no_field() -> None:
         entry.with_values(sentense="x")
 
 
-def test_an_empty_unit_takes_the_place_of_the_one_in_the_name() -> None:
+def test_an_empty_unit_overrides_the_unit_in_the_name() -> None:
     assert Column("quantile_5_percent").heading == "quantile 5 [%]"
     assert Column("quantile_5_percent", title="5 % quantile", unit="").heading == "5 % quantile"
