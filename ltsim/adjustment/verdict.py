@@ -1,12 +1,15 @@
 """Verdict on an adjustment: which test and which noise to trust, from the global test and the outlier tests."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
 from scipy import special
 
-from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.adjustment import Adjustment, FlaggedReading
 from ltsim.adjustment.quality import adjustment_warnings
 from ltsim.adjustment.significance import GLOBAL_TEST_LEVEL, MAX_SINGLE_ERROR_FRACTION, MIN_DOF_FOR_ESTIMATED_NOISE
 from ltsim.adjustment.stochastic_model import converged_variance_components, noise_declaration_texts
@@ -48,13 +51,43 @@ class Verdict:
     """True if standard deviations should be multiplied by the estimated sigma0."""
 
 
+@dataclass(frozen=True)
+class FitWithConstants:
+    """Fit of the readings of an adjustment that also estimates the instrument constants."""
+
+    chi2: float
+    """Chi-square of the fit."""
+    dof: int
+    """Degrees of freedom of the fit."""
+    outliers: tuple[FlaggedReading, ...] = ()
+    """Outliers among the readings, by the w-test."""
+
+    @classmethod
+    def from_adjustment(cls, adjustment: Adjustment | None) -> FitWithConstants | None:
+        """Fit from an adjustment that estimates the instrument constants; None without degrees of freedom."""
+        if adjustment is None or adjustment.dof <= 0:
+            return None
+        return cls(adjustment.chi2, adjustment.dof, tuple(adjustment.flagged_readings()))
+
+    @property
+    def sigma0(self) -> float:
+        """Standard deviation of unit weight."""
+        return float(np.sqrt(self.chi2 / self.dof))
+
+    def explains_misfit(self, alpha: float) -> bool:
+        """True if the fit passes the global test at the two-sided level `alpha`.
+
+        The fit passes too if it scatters less than the noise permits.
+        """
+        return self.sigma0 <= _sigma0_limits(self.dof, alpha)[1]
+
+
 def verdict_on(
-    adjustment: Adjustment, alpha: float = GLOBAL_TEST_LEVEL, fit_with_constants: tuple[float, int] | None = None
+    adjustment: Adjustment, alpha: float = GLOBAL_TEST_LEVEL, fit_with_constants: FitWithConstants | None = None
 ) -> Verdict:
     """Verdict on an adjustment from its tests and warnings; `alpha` is the two-sided level of the global test.
 
-    `fit_with_constants` contains chi-square and degrees of freedom of a fit that also estimates the instrument
-    constants; None if there is no such fit.
+    `fit_with_constants` also estimates the instrument constants; None if there is no such fit.
     """
     judged = _verdict_from_tests(adjustment, alpha, fit_with_constants)
     open_ = adjustment_warnings(adjustment)
@@ -65,12 +98,25 @@ def verdict_on(
     return replace(judged, case=case, sentence=f"{sentence} {judged.sentence}")
 
 
-def _verdict_from_tests(adjustment: Adjustment, alpha: float, fit_with_constants: tuple[float, int] | None) -> Verdict:
+def trusted_outliers(
+    adjustment: Adjustment, alpha: float, fit_with_constants: FitWithConstants | None
+) -> Sequence[FlaggedReading]:
+    """Outliers among the readings in use, by the test that the verdict trusts.
+
+    If `fit_with_constants` explains the residuals, these are its outliers: errors of the instrument constants, which
+    large residuals can contain, are no errors of readings. `alpha` is the two-sided level of the global test.
+    """
+    if fit_with_constants is not None and fit_with_constants.explains_misfit(alpha):
+        return fit_with_constants.outliers
+    return adjustment.flagged_readings(uses_estimated_noise=verdict_on(adjustment, alpha).uses_estimated_noise)
+
+
+def _verdict_from_tests(adjustment: Adjustment, alpha: float, fit_with_constants: FitWithConstants | None) -> Verdict:
     """Verdict on an adjustment from its tests, without the warnings on the network.
 
     `alpha` is the two-sided level of the global test. If this test fails but passes without the outliers, the cause is
-    single errors; otherwise the cause is other noise or an error of the model. `fit_with_constants` contains chi-square
-    and degrees of freedom of a fit that also estimates the instrument constants.
+    single errors; otherwise the cause is other noise or an error of the model. `fit_with_constants` also estimates the
+    instrument constants.
     """
     dof, sigma0, chi2 = adjustment.dof, adjustment.sigma0, adjustment.chi2
     origin = noise_origin(adjustment.recording.notes)
@@ -131,8 +177,12 @@ def _verdict_from_tests(adjustment: Adjustment, alpha: float, fit_with_constants
         return Verdict(VerdictCase.UNEXPLAINED_MISFIT, sentence, True)
     reasons = _rejection_reasons(adjustment, alpha, fit_with_constants)
     conclusion = f"Trust the global test, which fails, and the estimated sigma0: {phrase}."
-    if fit_with_constants is not None and fit_with_constants[1] > 0:
-        result = "has" if _explains_misfit(fit_with_constants, alpha) else "fails the global test:"
+    if fit_with_constants is not None:
+        is_explained = fit_with_constants.explains_misfit(alpha)
+        if is_explained:
+            condition = " if the instrument constants are estimated"
+            flagged_sentence = _outlier_sentence(len(fit_with_constants.outliers), condition)
+        result = "has" if is_explained else "fails the global test:"
         conclusion = (
             f"This adjustment, which does not estimate the instrument constants, {result} {phrase}. The standard "
             "deviations of the adjustment are multiplied by sigma0."
@@ -147,41 +197,30 @@ def _sigma0_limits(dof: int, alpha: float) -> tuple[float, float]:
     return low, high
 
 
-def _explains_misfit(fit_with_constants: tuple[float, int], alpha: float) -> bool:
-    """True if a fit with instrument constants (chi-square, degrees of freedom) passes the global test.
-
-    The fit passes too if it scatters less than the noise permits. `alpha` is the two-sided level of the test.
-    """
-    chi2, dof = fit_with_constants
-    return float(np.sqrt(chi2 / dof)) <= _sigma0_limits(dof, alpha)[1]
-
-
-def _sigma0_with_constants_sentence(fit_with_constants: tuple[float, int] | None, alpha: float) -> str:
+def _sigma0_with_constants_sentence(fit_with_constants: FitWithConstants | None, alpha: float) -> str:
     """Sentence, with a space at its end, on sigma0 of a fit with instrument constants; empty without such a fit.
 
     `alpha` is the two-sided level of the global test.
     """
-    if fit_with_constants is None or fit_with_constants[1] <= 0:
+    if fit_with_constants is None:
         return ""
-    chi2, dof = fit_with_constants
-    low, high = _sigma0_limits(dof, alpha)
-    sigma0 = float(np.sqrt(chi2 / dof))
-    return f"If the instrument constants are estimated, sigma0 is {sigma0:.3f} ({low:.3f} to {high:.3f} expected). "
+    low, high = _sigma0_limits(fit_with_constants.dof, alpha)
+    expected = f"sigma0 is {fit_with_constants.sigma0:.3f} ({low:.3f} to {high:.3f} expected)"
+    return f"If the instrument constants are estimated, {expected}. "
 
 
-def _rejection_reasons(adjustment: Adjustment, alpha: float, fit_with_constants: tuple[float, int] | None) -> str:
+def _rejection_reasons(adjustment: Adjustment, alpha: float, fit_with_constants: FitWithConstants | None) -> str:
     """Sentences on the possible reasons for a global test that failed at the two-sided level `alpha`.
 
     Errors of the instrument constants are a possible reason if they are neither corrected nor estimated. A fit that
-    estimates them, `fit_with_constants` (chi-square and degrees of freedom), shows if they are the reason.
+    estimates them, `fit_with_constants`, shows if they are the reason.
     """
     origin = noise_origin(adjustment.recording.notes)
-    if fit_with_constants is not None and fit_with_constants[1] > 0:
-        chi2, dof = fit_with_constants
-        low, high = _sigma0_limits(dof, alpha)
-        sigma0 = float(np.sqrt(chi2 / dof))
+    if fit_with_constants is not None:
+        low, high = _sigma0_limits(fit_with_constants.dof, alpha)
+        sigma0 = fit_with_constants.sigma0
         expected = f"sigma0 is {sigma0:.3f} ({low:.3f} to {high:.3f} expected)"
-        if _explains_misfit(fit_with_constants, alpha):
+        if fit_with_constants.explains_misfit(alpha):
             smaller = "" if sigma0 >= low else f", so that the noise is smaller than {origin}"
             return f"The instrument constants explain the residuals: if they are estimated, {expected}{smaller}."
         return (

@@ -27,7 +27,7 @@ from ltsim.calibration.prior_conflict import (
 from ltsim.calibration.prior_information import NO_PRIOR_SIGMA_FACTOR, ParameterSelection
 from ltsim.calibration.reported_uncertainty import uncertainty_factor, with_reported_uncertainty
 from ltsim.calibration.requested_effects import RequestedEffect, fit_with_requested_effects
-from ltsim.calibration.schema import FitEntry, VerdictEntry
+from ltsim.calibration.schema import VerdictEntry
 from ltsim.calibration.shrinkage import recommend_correction
 from ltsim.calibration.undetermined import undetermined_entries
 from ltsim.core.errors import ConvergenceError, LtsimError
@@ -192,14 +192,13 @@ def adjust(
         source, ideal_construction(), robust, _noise_grouping(noise_from_data), datum_names, selection=selection
     )
     tests = cause_tests_of_adjustment(selection, adjustment)
-    options = {"robust": robust, "tests": tests, "fit_with_constants": _fit_with_instrument_constants(adjustment)}
-    return with_reported_uncertainty(
-        _make_calibration(source, adjustment, "adjustment", recommend_measurements=False, **options)
-    )
+    options: dict[str, Any] = {"recommend_measurements": False, "robust": robust, "tests": tests}
+    options["with_constants"] = _adjustment_with_instrument_constants(adjustment)
+    return with_reported_uncertainty(_make_calibration(source, adjustment, "adjustment", **options))
 
 
-def _fit_with_instrument_constants(adjustment: Adjustment) -> FitEntry | None:
-    """Fit statistics with the instrument constants estimated too, from the readings in use.
+def _adjustment_with_instrument_constants(adjustment: Adjustment) -> Adjustment | None:
+    """Adjustment that also estimates the instrument constants, from the readings in use.
 
     The result is None for corrected instruments, and if the fit without instrument constants is not rejected.
     """
@@ -217,7 +216,7 @@ def _fit_with_instrument_constants(adjustment: Adjustment) -> FitEntry | None:
         fitted = adjusted_network(recording, built, **how)
     except LtsimError:
         return None
-    return result.fit_entry(fitted) if fitted.solution.has_converged else None
+    return fitted if fitted.solution.has_converged else None
 
 
 def _noise_grouping(noise_from_data: bool) -> NoiseGrouping | None:
@@ -232,9 +231,18 @@ def _suspect_targets(tests: Sequence[CauseTest]) -> tuple[str, ...]:
 
 
 def _make_calibration(
-    source: Recording, adjustment: Adjustment, method: str, *, recommend_measurements: bool, **fields: Any
+    source: Recording,
+    adjustment: Adjustment,
+    method: str,
+    *,
+    recommend_measurements: bool,
+    with_constants: Adjustment | None = None,
+    **fields: Any,
 ) -> Calibration:
-    """Calibration from an adjusted network; `fields` are other fields of the result."""
+    """Calibration from an adjusted network; `fields` are other fields of the result.
+
+    `with_constants` is the adjustment that also estimates the instrument constants, to compare with.
+    """
     recording, construction = adjustment.recording, adjustment.construction
     columns_of_free = adjustment.problem.unknowns.instrument_columns.ravel()
     is_fixed = adjustment.problem.prior.is_fixed
@@ -274,8 +282,9 @@ def _make_calibration(
         stations=result.station_poses(adjustment),
         criteria=result.criteria_entry(recording, adjustment, construction, values),
         reflectors=result.reflector_entries(adjustment),
-        outliers=result.outlier_rows(adjustment),
-        verdict=VerdictEntry.from_verdict(result.fit_verdict(adjustment, fields.get("fit_with_constants"))),
+        fit_with_constants=None if with_constants is None else result.fit_entry(with_constants),
+        outliers=result.outlier_rows(adjustment, with_constants),
+        verdict=VerdictEntry.from_verdict(result.fit_verdict(adjustment, with_constants)),
         noise=result.noise_rows(adjustment),
         reference_values=result.reference_value_entries(adjustment),
         undetermined_targets=adjustment.undetermined_targets,

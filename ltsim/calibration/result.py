@@ -15,7 +15,7 @@ from ltsim.adjustment.remedies.undetermined import (
     undetermined_combinations,
 )
 from ltsim.adjustment.significance import MAX_CHANCE_SIGMAS
-from ltsim.adjustment.verdict import Verdict, verdict_on
+from ltsim.adjustment.verdict import FitWithConstants, Verdict, trusted_outliers, verdict_on
 from ltsim.calibration.schema import (
     OBSERVABLE_DISPLAY_UNITS,
     AxesEntry,
@@ -100,8 +100,11 @@ def station_poses(adjustment: Adjustment, covariance: Floats | None = None) -> t
     )
 
 
-def outlier_rows(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
-    """Result entries of outlying readings: gross errors, other excluded readings, then those that tests flag."""
+def outlier_rows(adjustment: Adjustment, with_constants: Adjustment | None = None) -> tuple[OutlierRow, ...]:
+    """Result entries of outlying readings: gross errors, other excluded readings, then those that tests flag.
+
+    `with_constants` is the adjustment that also estimates the instrument constants.
+    """
     recording = adjustment.recording
     whitened = np.nan_to_num(adjustment.residuals / adjustment.problem.reading_sigmas)
 
@@ -120,14 +123,11 @@ def outlier_rows(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
     single &= _estimated_error_mask(adjustment, whitened)
     for i, k in sorted(np.argwhere(single).tolist(), key=lambda at: -abs(whitened[at[0], at[1]])):
         outliers.append(outlier(i, k, adjustment.residuals[i, k], float(whitened[i, k]), excluded=True))
-    flagged_readings = adjustment.flagged_readings(uses_estimated_noise=fit_verdict(adjustment).uses_estimated_noise)
-    return (
-        *outliers,
-        *(
-            outlier(o.pointing_index, o.observable_column, o.estimated_error, o.normalised_residual, p_value=o.p_value)
-            for o in flagged_readings
-        ),
-    )
+    fit = FitWithConstants.from_adjustment(with_constants)
+    for o in trusted_outliers(adjustment, TWO_SIDED_GLOBAL_TEST_LEVEL, fit):
+        place = o.pointing_index, o.observable_column
+        outliers.append(outlier(*place, o.estimated_error, o.normalised_residual, p_value=o.p_value))
+    return tuple(outliers)
 
 
 def _estimated_error_mask(adjustment: Adjustment, whitened_residuals: Floats) -> Bools:
@@ -141,13 +141,13 @@ def _estimated_error_mask(adjustment: Adjustment, whitened_residuals: Floats) ->
     return ~is_unconnected[:, None] & (~lost[:, None] | (np.abs(whitened_residuals) > MAX_CHANCE_SIGMAS))
 
 
-def fit_verdict(adjustment: Adjustment, fit: FitEntry | None = None) -> Verdict:
+def fit_verdict(adjustment: Adjustment, with_constants: Adjustment | None = None) -> Verdict:
     """Verdict on the test to trust, if the tests of an adjustment disagree.
 
-    `fit` are the fit statistics with the instrument constants estimated too. The level is
+    `with_constants` is the adjustment that also estimates the instrument constants. The level is
     `TWO_SIDED_GLOBAL_TEST_LEVEL`.
     """
-    return verdict_on(adjustment, TWO_SIDED_GLOBAL_TEST_LEVEL, None if fit is None else (fit.chi2, fit.dof))
+    return verdict_on(adjustment, TWO_SIDED_GLOBAL_TEST_LEVEL, FitWithConstants.from_adjustment(with_constants))
 
 
 def noise_rows(adjustment: Adjustment) -> tuple[NoiseRow, ...]:

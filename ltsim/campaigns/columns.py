@@ -83,7 +83,9 @@ def _column_metadata(name: str, parameters: Mapping[str, str]) -> dict[str, str]
     column = find_result_column(name)
     if column is None:
         return {"unit": "", "meaning": ""}
-    unit = parameters.get(name.partition(":")[2], "") if column.unit == PARAMETER_UNIT_PLACEHOLDER else column.unit
+    unit = (
+        parameters.get(name.partition(":")[2], "") if column.unit == PARAMETER_UNIT_PLACEHOLDER else column.unit or ""
+    )
     return {"unit": unit, "meaning": column.meaning}
 
 

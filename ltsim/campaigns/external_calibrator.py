@@ -68,23 +68,20 @@ def split_calibrator_command(command: str) -> list[str]:
         raise InputError(f"{option_text('calibrator')} '{safe_excerpt(command)}': {problem}") from None
 
 
-def run_external_calibrator(
-    calibrator: ExternalCalibrator, recording: Recording, trial_text: str
-) -> dict[str, ParameterEstimate]:
+def run_external_calibrator(calibrator: ExternalCalibrator, recording: Recording) -> dict[str, ParameterEstimate]:
     """Estimates of an external calibrator from a recording, by name of the parameter.
 
-    `trial_text` names the trial in messages. CalibratorError is raised for a calibrator without a valid result, for
-    example exit status 1, None, no file or an infinite value. InputError is raised for a program that cannot be
-    started.
+    CalibratorError is raised for a calibrator without a valid result, for example exit status 1, None, no file or an
+    infinite value. InputError is raised for a program that cannot be started.
     """
     if not isinstance(calibrator, str):
         given = calibrator(recording)
         if given is None:
-            raise CalibratorError(f"the calibrator returned no result (None) for {trial_text}")
+            raise CalibratorError("the calibrator returned no result (None)")
         try:
             return _validated_estimates(given)
         except RecordError as problem:
-            raise CalibratorError(f"the calibrator's result for {trial_text} is not valid: {problem}") from None
+            raise CalibratorError(f"the calibrator's result is not valid: {problem}") from None
     words = split_calibrator_command(calibrator)
     with TemporaryDirectory() as place:
         folder, out = Path(place) / "recording", Path(place) / "estimates.json"
@@ -102,9 +99,7 @@ def run_external_calibrator(
         except OSError as problem:
             message = f"{option_text('calibrator')}: {safe_excerpt(words[0])} cannot be started ({problem.strerror})"
             raise InputError(message) from None
-        what = (
-            f"'{safe_excerpt(calibrator, MAX_QUOTED_LINE_LENGTH)}' ended with status {done.returncode} for {trial_text}"
-        )
+        what = f"'{safe_excerpt(calibrator, MAX_QUOTED_LINE_LENGTH)}' ended with status {done.returncode}"
         lines = done.stderr.decode("utf-8", "replace").split("\n")
         last = next((line.strip() for line in reversed(lines) if line.strip()), "")
         detail = (

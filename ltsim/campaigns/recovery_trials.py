@@ -172,12 +172,10 @@ def run_recovery_trial(
     if settings.calibrator is None:
         return FailedTrial(reason, is_from_external_calibrator=False) if reference is None else reference
     try:
-        estimates = run_external_calibrator(settings.calibrator, recording, f"trial {trial_number}")
+        estimates = run_external_calibrator(settings.calibrator, recording)
         return score_estimates(estimates, truth, settings.error_origin, reference)
     except CalibratorError as problem:
-        sentence = str(problem)
-        reason = sentence if f"for trial {trial_number}" in sentence else f"trial {trial_number}: {sentence}"
-        return FailedTrial(reason, is_from_external_calibrator=True)
+        return FailedTrial(f"trial {trial_number}: {problem}", is_from_external_calibrator=True)
 
 
 def calibrate_by_settings(

@@ -217,8 +217,15 @@ def summary_table(factors: Mapping[str, str]) -> Table:
             *number_columns("r", mean="mean of these values", standard_deviation="standard deviation of these values"),
             *number_columns("r", low="lower 95 % confidence limit of the mean", high="upper 95 % confidence limit"),
             *number_columns("r", minimum="smallest value", maximum="largest value"),
-            *number_columns(
-                "r", **{f"quantile_{100 * level:g}_percent": "quantile over the trials" for level in QUANTILE_LEVELS}
+            *(
+                Column(
+                    f"quantile_{100 * level:g}_percent",
+                    "quantile over the trials",
+                    csv_format="r",
+                    title=f"{100 * level:g} % quantile",
+                    unit="",  # that of the row
+                )
+                for level in QUANTILE_LEVELS
             ),
         ),
     )

@@ -138,10 +138,10 @@ def campaign(
     path = path_of_file_or_built_in(file)
     folder = rows_folder(path, out)
     settings, scenarios = loaded = load_campaign(path, changes)
-    n_trials = settings.trials * len(settings.methods) * len(scenarios)
+    n_calibrations = settings.trials * len(settings.methods) * len(scenarios)
     terminal.print_note_on_compilation()
     try:
-        with terminal.show_progress("trials", n_trials) as advance:
+        with terminal.show_progress("calibrations", n_calibrations) as advance:
             outcome = run_campaign(
                 path,
                 folder,

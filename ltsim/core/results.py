@@ -79,7 +79,7 @@ class Column:
     uncertainty_column : str
         Name of a column, such as U, whose second significant digit is the last displayed decimal of this column.
     unit : str
-        Unit; by default the one in the name.
+        Unit; by default the one in the name. An empty text is no unit.
     title : str
         Displayed title; by default the name without its unit.
     row_attribute : str
@@ -95,7 +95,7 @@ class Column:
     display_format: str = ""
     sigma_column: str = ""
     uncertainty_column: str = ""
-    unit: str = ""
+    unit: str | None = None
     title: str = ""
     row_attribute: str = ""
     n_digits: int = 4
@@ -103,7 +103,7 @@ class Column:
     @property
     def heading(self) -> str:
         """Displayed title of the column with its unit: `x [mm]`."""
-        unit = self.unit or unit_of_key(self.name)
+        unit = unit_of_key(self.name) if self.unit is None else self.unit
         ending = next((e for e, u in UNIT_BY_KEY_ENDING.items() if u == unit and self.name.endswith(e)), "")
         title = self.title or self.name.removesuffix(ending).replace("_", " ")
         return f"{title} [{unit}]" if unit else title

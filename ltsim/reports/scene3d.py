@@ -191,33 +191,25 @@ def _draw_sights(plotter: pv.Plotter, workshop: WorkshopScene) -> tuple[str, flo
 
 
 def _draw_shadow_cones(plotter: pv.Plotter, workshop: WorkshopScene, legend_lines: list[str]) -> None:
-    """Draw the shadow cone below each station, which its elevation limit hides, and its circle on the floor.
+    """Draw the cone below each station in which the tracker sees nothing, and its circle on the floor.
 
-    The opening angles are added to `legend_lines`.
+    The opening angle is added to `legend_lines`.
     """
-    z = workshop.floor_height
-    for k, opening in enumerate(workshop.shadow_cone_openings):
-        radius = workshop.shadow_radii_on_floor(opening)
-        rims = []
-        for s, position in enumerate(workshop.station_positions):
-            floor_point = np.array([*position[:2], z + 0.004 * (k + 1)])
-            disc = pv.Polygon(center=floor_point, radius=float(radius[s]), normal=(0.0, 0.0, 1.0), n_sides=72)
-            rims.append(disc.extract_feature_edges())
-            if k == 0:
-                height = float(position[2] - floor_point[2])
-                shape = {"direction": (0.0, 0.0, 1.0), "height": height, "radius": radius[s], "resolution": 72}
-                cone = pv.Cone(center=0.5 * (position + floor_point), capping=False, **shape)
-                plotter.add_mesh(cone, color=style.RED, opacity=0.13, lighting=False, name=f"cone-{s}")
-                plotter.add_mesh(disc, color=style.ORANGE, opacity=0.30, lighting=False, name=f"shadow-{s}")
-        plotter.add_mesh(
-            pv.merge(rims),
-            color=style.RED,
-            line_width=3 if k == 0 else 1.5,
-            lighting=False,
-            name=f"rims-{k}",
-        )
-        drawn_as = "cone and disc" if k == 0 else "thin circle"
-        legend_lines.append(f"{drawn_as}: shadow, opening {opening / DEGREE:.0f}°")
+    rims = []
+    for s, (position, radius) in enumerate(
+        zip(workshop.station_positions, workshop.shadow_radii_on_floor, strict=True)
+    ):
+        floor_point = np.array([*position[:2], workshop.floor_height + 0.004])
+        disc = pv.Polygon(center=floor_point, radius=float(radius), normal=(0.0, 0.0, 1.0), n_sides=72)
+        rims.append(disc.extract_feature_edges())
+        height = float(position[2] - floor_point[2])
+        shape = {"direction": (0.0, 0.0, 1.0), "height": height, "radius": radius, "resolution": 72}
+        cone = pv.Cone(center=0.5 * (position + floor_point), capping=False, **shape)
+        plotter.add_mesh(cone, color=style.RED, opacity=0.13, lighting=False, name=f"cone-{s}")
+        plotter.add_mesh(disc, color=style.ORANGE, opacity=0.30, lighting=False, name=f"shadow-{s}")
+    plotter.add_mesh(pv.merge(rims), color=style.RED, line_width=3, lighting=False, name="rims")
+    opening = f"{workshop.shadow_cone_opening / DEGREE:.0f}°"
+    legend_lines.append(f"cone and disc: not visible from the station (cone of {opening})")
 
 
 def _polygon_mesh(corners: Floats) -> pv.PolyData:

@@ -57,7 +57,7 @@ def _work_order_blocks(plan: Plan) -> list[Block]:
         PictureBlock(
             "Floor plan",
             plan.plot,
-            "Seen from above; x and y in metres. The elevation limit hides the floor inside the circles.",
+            "Seen from above; x and y in metres. The tracker does not see the floor inside the circles.",
         ),
         BulletListBlock("Checks", operator_check_sentences(network)),
     ]

@@ -24,11 +24,8 @@ from ltsim.recordings.setup import ElevationLimits, Setup
 from ltsim.scene.cad import implausible_size_question, read_cad_file
 from ltsim.scene.visibility import InvisibilityReason, Visibility, default_shadow_cone_opening, stand_shadow_radii
 from ltsim.simulation.scenario import Scenario
-from ltsim.simulation.workshop import WorkshopLayout, make_obstacles, make_visibility, planned_layout
+from ltsim.simulation.workshop import WorkshopLayout, make_obstacles, make_sight_limits, make_visibility, planned_layout
 
-ALTERNATIVE_SHADOW_CONE_OPENING = 110.0 * DEGREE
-"""Alternative opening angle [rad] of the shadow cone below a tracker, in which it sees nothing (Sensors 2021, 21, 7479,
-section 2.3.2)."""
 MAX_LOWEST_HEIGHT_WITH_FLOOR_AT_ZERO = 3.0
 """Limit of the height [m] above z = 0 of the lowest target or tracker in a plan. Below it, the floor is drawn at z = 0;
 above it, at the lowest target. The limit is above the height of a tracker on its tripod.
@@ -84,8 +81,8 @@ class WorkshopScene(ValueEquality):
     """Coordinates (W, 4, 3) [m] of the four corners of each of W walls."""
     gauge_pairs: tuple[tuple[int, int], ...] = ()
     """Pairs of indices of targets with a reference length between them."""
-    elevation_min: float = -55.0 * DEGREE
-    """Lowest elevation [rad] to which the trackers point."""
+    shadow_cone_opening: float = 70.0 * DEGREE
+    """Full opening angle [rad] of the cone below each tracker in which it sees nothing."""
     sights: DrawnSights | None = None
     """Lines of sight to draw; None if they are not drawn."""
     target_covariances: Floats | None = None
@@ -106,24 +103,9 @@ class WorkshopScene(ValueEquality):
         return np.arctan2(self.station_rotations[:, 1, 0], self.station_rotations[:, 0, 0])
 
     @property
-    def shadow_cone_openings(self) -> tuple[float, ...]:
-        """Full angles [rad] of the cones below a tracker in which it sees nothing.
-
-        The first angle follows from the lower elevation limit, the second is `ALTERNATIVE_SHADOW_CONE_OPENING`.
-        """
-        limit = default_shadow_cone_opening(self.elevation_min)
-        return (
-            (limit,)
-            if abs(limit - ALTERNATIVE_SHADOW_CONE_OPENING) < 1e-9
-            else (limit, ALTERNATIVE_SHADOW_CONE_OPENING)
-        )
-
-    def shadow_radii_on_floor(self, opening: float) -> Floats:
-        """Radius (S,) [m] on the floor of the cone below each of S stations in which the tracker sees nothing.
-
-        `opening` [rad] is the full angle of the cone.
-        """
-        return stand_shadow_radii(self.station_positions, self.floor_height, opening)
+    def shadow_radii_on_floor(self) -> Floats:
+        """Radius (S,) [m] on the floor of the cone below each of S stations in which the tracker sees nothing."""
+        return stand_shadow_radii(self.station_positions, self.floor_height, self.shadow_cone_opening)
 
     @property
     def gauge_targets(self) -> tuple[int, ...]:
@@ -226,6 +208,7 @@ def workshop_with_surroundings(scene: WorkshopScene, setup: Setup) -> WorkshopSc
     )
     wall_planes = _find_wall_planes(points, nest_normals) if has_plan else []
     instrument = next(iter(setup.instruments.values()), setup.instrument)
+    lowest_elevation = (instrument.limits or ElevationLimits()).elevation_min_deg * DEGREE
     index_by_name = {name: i for i, name in enumerate(scene.targets)}
     lengths = setup.gauge.distance if setup.gauge else ()
     floor = _floor_rectangle(np.concatenate([points, position])[:, :2], wall_planes)
@@ -243,7 +226,7 @@ def workshop_with_surroundings(scene: WorkshopScene, setup: Setup) -> WorkshopSc
             for g in lengths
             if g.from_ in index_by_name and g.to in index_by_name
         ),
-        elevation_min=(instrument.limits or ElevationLimits()).elevation_min_deg * DEGREE,
+        shadow_cone_opening=default_shadow_cone_opening(lowest_elevation),
         target_covariances=None
         if scene.target_covariances is None
         else rotation @ scene.target_covariances @ rotation.T,
@@ -333,7 +316,9 @@ def workshop_from_scenario(scenario: Scenario) -> WorkshopScene:
         floor_corners=floor,
         wall_corners=_wall_corners([(0, 1.0, 0.0), (1, 1.0, 0.0)], floor, 0.0, z),
         gauge_pairs=tuple((i, j) for i in gauge for j in gauge if i < j),
-        elevation_min=max(t.limits.elevation_min_deg for t in scenario.trackers_in_use.values()) * DEGREE,
+        shadow_cone_opening=max(
+            make_sight_limits(scenario, tracker).shadow_cone_opening for tracker in scenario.trackers_in_use.values()
+        ),
         sights=_visible_sights(layout, visibility),
         obstacle_triangles=np.zeros((0, 3, 3)) if obstacles is None else obstacles.triangles,
         blocked_sights=np.argwhere(visibility.reason_codes == InvisibilityReason.HIDDEN_BY_OBSTACLE),

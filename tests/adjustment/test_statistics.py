@@ -7,7 +7,7 @@ from scipy import stats
 from ltsim.adjustment import adjust
 from ltsim.adjustment.reliability import critical_normalised_residual, noncentrality, p_value_of_tau
 from ltsim.adjustment.significance import FAMILY_WISE_LEVEL
-from ltsim.adjustment.verdict import VerdictCase, verdict_on
+from ltsim.adjustment.verdict import FitWithConstants, VerdictCase, verdict_on
 from ltsim.core.randomness import random_stream
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.recording import Recording
@@ -201,7 +201,7 @@ def test_a_group_without_redundancy_keeps_its_noise():
 def test_the_verdict_says_to_which_adjustment_a_sigma0_belongs():
     """`Trust the estimated sigma0: 5.989` stood next to `sigma0 is 0.999`."""
     misfit = adjust(noisy(1, (6.0, 6.0, 6.0)), TRACKER)
-    sentence = verdict_on(misfit, fit_with_constants=(9.0 * misfit.dof, misfit.dof)).sentence
+    sentence = verdict_on(misfit, fit_with_constants=FitWithConstants(9.0 * misfit.dof, misfit.dof)).sentence
     assert "If these constants are estimated, sigma0 is 3.000 (" in sentence
     assert f"fails the global test: sigma0 = {misfit.sigma0:.3f} (" in sentence
     assert "Trust" not in sentence
@@ -212,7 +212,7 @@ def test_the_verdict_says_to_which_adjustment_a_sigma0_belongs():
 def test_constants_that_explain_the_residuals_are_no_failure(factor: float, suffix: str) -> None:
     """The verdict on two faces of an ordinary tracker began with errors, and said `fails the global test`."""
     misfit = adjust(noisy(1, (6.0, 6.0, 6.0)), TRACKER)
-    verdict = verdict_on(misfit, fit_with_constants=(factor * misfit.dof, misfit.dof))
+    verdict = verdict_on(misfit, fit_with_constants=FitWithConstants(factor * misfit.dof, misfit.dof))
     assert verdict.sentence.startswith("The instrument constants explain the residuals: if they are estimated, sigma0 ")
     assert f"expected){suffix}." in verdict.sentence
     assert f"does not estimate the instrument constants, has sigma0 = {misfit.sigma0:.3f} (" in verdict.sentence

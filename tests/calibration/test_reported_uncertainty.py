@@ -128,6 +128,14 @@ def test_an_adjustment_says_that_the_instrument_is_still_in_its_coordinates(plai
     assert again.constants_included
 
 
+def test_an_error_of_the_constants_is_no_outlier() -> None:
+    """The collimation error of a steep sight was reported as an outlier, with the action to measure it again."""
+    adjusted = lt.adjust(lt.simulate("paper-workshop-two-face", seed=21).recording)
+    assert adjusted.fit_with_constants is not None and (adjusted.fit_with_constants.p_value or 0.0) > 0.01
+    assert adjusted.outliers == ()
+    assert "No reading is an outlier if the instrument constants are estimated." in adjusted.verdict.sentence
+
+
 def test_a_rejected_calibration_corrects_nothing_unless_it_is_asked_to(plain: lt.Recording, tmp_path: Path) -> None:
     noise = random_stream(11, "rejected").standard_normal(plain.readings.shape) * 3.0 * plain.reading_sigmas()
     calibration = lt.calibrate(plain.with_readings(plain.readings + noise), advise=False)

@@ -297,3 +297,8 @@ def test_a_copy_of_an_entry_refuses_a_name_that_is_no_field() -> None:
     assert entry.with_values(sentence="x").sentence == "x"
     with pytest.raises(TypeError, match="VerdictEntry has no field sentense"):
         entry.with_values(sentense="x")
+
+
+def test_an_empty_unit_overrides_the_unit_in_the_name() -> None:
+    assert Column("quantile_5_percent").heading == "quantile 5 [%]"
+    assert Column("quantile_5_percent", title="5 % quantile", unit="").heading == "5 % quantile"

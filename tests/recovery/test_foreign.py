@@ -120,7 +120,7 @@ def test_a_program_is_called_with_a_recording_and_its_answer_is_checked(
     assert run([*command, "-q"]) == 1
     error_text = capfd.readouterr().err
     assert "convergence fails" in error_text
-    assert "ended with status 1 for trial 1; its last line was: my own reason" in error_text
+    assert "trial 1: '" in error_text and "ended with status 1; its last line was: my own reason" in error_text
     assert run([*command[:-1], "mine"]) == 2 and "lacks {recording}" in capfd.readouterr().err
     assert run([*command[:-1], "no-such-program {recording} {out}"]) == 2
 
@@ -168,7 +168,7 @@ BROKEN_PROGRAMS = {
     "no JSON": ('open(out, "w").write("beam-tilt=-14")', "the file at {out} is not JSON"),
     "no value": ('open(out, "w").write(\'{"parameters": [{"name": "beam-tilt"}]}\')', "'value' is missing"),
     "numbers": ('open(out, "w").write(\'{"parameters": [1, 2]}\')', "no list of parameters with name, value and unit"),
-    "crash": ('raise RuntimeError("no licence")', "status 1 for trial 2; its last line was: RuntimeError: no licence"),
+    "crash": ('raise RuntimeError("no licence")', "status 1; its last line was: RuntimeError: no licence"),
 }
 """Program of a calibrator, and the reason that its result is not valid, by name."""
 
@@ -188,7 +188,7 @@ def test_broken_output_of_a_program_is_a_failed_test_case_with_its_reason(
     assert run(command) == 1
     (failure,) = ElementTree.parse(junit).getroot().findall("testcase/failure")
     message = failure.attrib["message"]
-    assert reason in message and "mine.py" in message and "for trial 2" in message
+    assert reason in message and "mine.py" in message and "trial 2: " in message
     assert ("its last line was: warm" in message) == (name != "crash")
     assert message in capfd.readouterr().err
     assert json.loads((tmp_path / "out" / "recovery.json").read_text())["last_failure_reason"] == message
@@ -281,11 +281,8 @@ def test_three_failures_of_a_calibrator_end_the_run(jobs: int, tmp_path: Path) -
     command = f"{sys.executable} {program} {{recording}} {{out}}"
     recovery = lt.recover(SCENE, trials=40, calibrator=command, jobs=jobs)
     assert recovery.trials == 3 and not recovery.passed
-    assert recovery.failure_sentences()[0].startswith("the run ended after 3 failures of the calibrator: '")
-    assert (
-        "status 1 for trial 2; its last line was: RuntimeError: license server not reachable"
-        in recovery.failure_sentences()[0]
-    )
+    assert recovery.failure_sentences()[0].startswith("the run ended after 3 failures of the calibrator: trial 2: '")
+    assert "status 1; its last line was: RuntimeError: license server not reachable" in recovery.failure_sentences()[0]
     assert lt.recover(SCENE, trials=5, calibrator=lambda recording: None).trials == 3
 
 

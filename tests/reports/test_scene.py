@@ -32,7 +32,7 @@ def test_everything_stands_in_the_scene(scene: workshop_scene.WorkshopScene) -> 
     plotter, legend = scene3d.build_scene(scene)
     names = set(plotter.actors)
     expected = {"floor", "wall-0", "wall-1", "sights", "cone-0", "shadow-4", "targets", "gauge", "gauge-lengths"}
-    assert expected | {"tripods", "heads", "ellipsoids", "corrections", "rims-0", "rims-1"} <= names
+    assert expected | {"tripods", "heads", "ellipsoids", "corrections", "rims"} <= names
     assert legend.colour_bar is not None
     plotter.close()
 
@@ -66,7 +66,7 @@ def test_lines_of_sight_have_the_contrast_of_graphics(page: str, scene: workshop
 def test_cone_ends_on_its_shadow(scene: workshop_scene.WorkshopScene) -> None:
     plotter, _ = scene3d.build_scene(scene)
     bounds = plotter.actors["cone-0"].bounds
-    radius = scene.shadow_radii_on_floor(scene.shadow_cone_openings[0])[0]
+    radius = scene.shadow_radii_on_floor[0]
     assert bounds[1] - bounds[0] == pytest.approx(2 * radius, rel=1e-3)
     assert bounds[4] == pytest.approx(0.0, abs=0.02)
     assert bounds[5] == pytest.approx(scene.station_positions[0, 2], abs=1e-3)

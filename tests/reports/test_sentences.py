@@ -11,7 +11,7 @@ import pytest
 
 from ltsim.adjustment.identification.cause_selection import INFINITE_GAIN_SUBSTITUTE
 from ltsim.adjustment.identification.cause_tests import CausePlace, CauseTest
-from ltsim.campaigns.results import PairedDifference
+from ltsim.campaigns.results import CampaignResults, PairedDifference
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.recommendations import inspection_action
 from ltsim.diagnosis.schema import EquivalentEffect, Finding, FindingEvidence, FindingScope, Misfit, ParameterEstimate
@@ -159,6 +159,25 @@ def test_evidence_without_a_fall_of_chi_square_is_not_called_so() -> None:
     assert "p, corrected for the search: 0.0001" in evidence_lines(exchange, [measured])
 
 
+def test_a_law_with_the_scope_of_a_simple_cause_has_its_sentence_and_action() -> None:
+    """`check` advised to look at the clamping of S3, and `diagnose` to inspect S3 for a change of the azimuth."""
+    scope = FindingScope(observables=("azimuth",), stations=("S3",), targets=(), instruments=(), covariates=("time",))
+    law = {"effect": "unknown", "is_catalogued": False, "where": scope, "carrier": "azimuth"}
+    step = finding("outlier", "window").model_copy(update=law)
+    sentence = "The horizontal circle of S3 was turned by 12.3 arcsec."
+    turned = CauseTest(
+        kind="orientation", acts_on="azimuth", where=CausePlace(stations=("S3",)), statistic=9e3, dof=1,
+        sentence=sentence,
+    )  # fmt: skip
+    content = Diagnosis.model_validate_json(json.dumps(samples.DIAGNOSIS)).model_copy(update={"findings": (step,)})
+    action = "Check the clamping of the tracker at S3, and measure this set-up again."
+    assert next_actions_after_diagnosis(content.model_copy(update={"tests": (turned,)}))[0] == action
+    assert f"simple cause: {sentence}" in evidence_lines(step, [turned])
+    elsewhere = turned.model_copy(update={"where": CausePlace(stations=("S4",))})
+    assert next_actions_after_diagnosis(content.model_copy(update={"tests": (elsewhere,)}))[0].startswith("Inspect S3")
+    assert not any(line.startswith("simple cause") for line in evidence_lines(step, [elsewhere]))
+
+
 def prose(section: Section) -> list[str]:
     """Everything on a section that a person reads: answer, actions, notes, captions, cells."""
     return [
@@ -205,13 +224,21 @@ def test_the_comparison_of_methods_counts_and_sizes_each_sign(sizes: tuple[float
     )
 
 
-def test_coverage_is_separate_where_the_noise_differs_from_the_declared_noise(tmp_path: Path) -> None:
+def test_coverage_is_separate_where_the_noise_differs_from_the_declared_noise(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One pass over the z-scores of the rows gives the key figures, the figures and the table."""
+    passes, scores = [], CampaignResults.iterate_z_score_summaries
+    monkeypatch.setattr(CampaignResults, "iterate_z_score_summaries", lambda r: passes.append(r) or scores(r))
     section = campaign_section(samples.campaign_folder(tmp_path / "campaign"))
+    n_rows = sum(comparison.trials for comparison in CampaignResults(tmp_path / "campaign").solver_comparisons())
+    assert [f.value for f in section.key_figures if f.name == "calibrations"] == [str(n_rows)]
     tiles = [fact.name for fact in section.key_figures if fact.name.startswith("coverage")]
     assert [name.partition(";")[0] for name in tiles] == [
         "coverage of 95 % intervals", "coverage of 95 % intervals with noise factor 2 (not declared)"
     ]  # fmt: skip
     assert all(name.partition("; ")[2].split(" ")[1].startswith("intervals") for name in tiles)
+    assert len(passes) == 1 and "z-scores of the parameters" in [block.title for block in section.blocks]
     values = [fact.value for fact in section.key_figures if fact.name in tiles]
     assert all(re.fullmatch(r"\d+\.\d %", value) for value in values), values
 

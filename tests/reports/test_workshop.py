@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from ltsim.reports import workshop_scene
+from ltsim.simulation.scenario import load_scenario
 from tests.networks import STATIONS, YAWS, mesh
 from tests.reports import samples
 
@@ -29,7 +30,6 @@ def test_walls_stand_behind_the_nests(scene: workshop_scene.WorkshopScene) -> No
 
 
 def test_walls_stand_behind_nests_that_are_aimed_at_the_stations() -> None:
-    from ltsim.simulation.scenario import load_scenario
     from ltsim.simulation.simulator import simulate
 
     walls = workshop_scene.workshop_from_recording(simulate(load_scenario("paper-workshop"), 7)[0]).wall_corners
@@ -39,10 +39,16 @@ def test_walls_stand_behind_nests_that_are_aimed_at_the_stations() -> None:
 
 
 def test_shadow_is_a_cone_under_the_elevation_limit(scene: workshop_scene.WorkshopScene) -> None:
-    narrow, wide = scene.shadow_cone_openings
-    assert np.degrees([narrow, wide]) == pytest.approx([70.0, 110.0])
-    assert scene.shadow_radii_on_floor(narrow)[0] == pytest.approx(1.9 * np.tan(np.radians(35.0)), rel=1e-3)
-    assert scene.shadow_radii_on_floor(wide)[0] == pytest.approx(1.9 / np.tan(np.radians(35.0)), rel=1e-3)
+    assert np.degrees(scene.shadow_cone_opening) == pytest.approx(70.0)
+    assert scene.shadow_radii_on_floor[0] == pytest.approx(1.9 * np.tan(np.radians(35.0)), rel=1e-3)
+
+
+def test_drawn_shadow_has_the_opening_of_the_scenario() -> None:
+    scenario = load_scenario("paper-workshop")
+    wide = scenario.model_copy(update={"workshop": scenario.workshop.model_copy(update={"shadow_cone_deg": 90.0})})
+    drawn = workshop_scene.workshop_from_scenario(wide)
+    assert np.degrees(drawn.shadow_cone_opening) == pytest.approx(90.0)
+    assert drawn.shadow_radii_on_floor == pytest.approx(drawn.station_positions[:, 2])
 
 
 def test_incidence_is_measured_on_the_walls(scene: workshop_scene.WorkshopScene) -> None:
@@ -80,7 +86,7 @@ def test_a_plan_whose_zero_lies_far_below_tells_no_floor() -> None:
     )
     assert scene.floor_height == pytest.approx(scene.target_points[:, 2].min())
     assert scene.floor_height > 359.0
-    assert scene.shadow_radii_on_floor(scene.shadow_cone_openings[0]).max() < 10.0
+    assert scene.shadow_radii_on_floor.max() < 10.0
 
 
 def test_without_a_plan_the_floor_is_at_the_lowest_target() -> None:

@@ -240,7 +240,7 @@ def _axis_limits(workshop: WorkshopScene) -> Floats:
     The limits enclose the floor and, around each station, the circle on the floor that the tracker cannot see because
     of its lowest elevation.
     """
-    radius = workshop.shadow_radii_on_floor(workshop.shadow_cone_openings[0])[:, None]
+    radius = workshop.shadow_radii_on_floor[:, None]
     places = np.concatenate(
         [workshop.floor_corners, workshop.station_positions[:, :2] - radius, workshop.station_positions[:, :2] + radius]
     )
@@ -251,12 +251,10 @@ def _axis_limits(workshop: WorkshopScene) -> Floats:
 
 def _draw_shadow_cones(ax: Axes, workshop: WorkshopScene) -> None:
     """Draw the circles in which the shadow cones (what a tracker cannot see below it) meet the floor."""
-    for k, opening in enumerate(workshop.shadow_cone_openings):
-        inner, outer = {"facecolor": "#D55E0022"}, {"facecolor": "none", "linestyle": (0, (3, 2))}
-        patch_style: dict[str, Any] = {"edgecolor": style.RED, "linewidth": 0.9, "zorder": 1} | (outer if k else inner)
-        for s, radius in enumerate(workshop.shadow_radii_on_floor(opening)):
-            legend_label = f"shadow, cone of {opening / DEGREE:.0f}°" if s == 0 else None
-            ax.add_patch(Circle(tuple(workshop.station_positions[s, :2]), radius, label=legend_label, **patch_style))
+    patch_style: dict[str, Any] = {"facecolor": "#D55E0022", "edgecolor": style.RED, "linewidth": 0.9, "zorder": 1}
+    for s, radius in enumerate(workshop.shadow_radii_on_floor):
+        label = f"shadow, cone of {workshop.shadow_cone_opening / DEGREE:.0f}°" if s == 0 else None
+        ax.add_patch(Circle(tuple(workshop.station_positions[s, :2]), radius, label=label, **patch_style))
 
 
 def _sight_matrix(workshop: WorkshopScene) -> Bools | None:

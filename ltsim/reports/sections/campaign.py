@@ -48,7 +48,7 @@ from ltsim.reports.figures.campaign_factors import (
     varying_factors,
 )
 from ltsim.reports.formatting import capitalised_sentence, count_text, tracker_preset_names_text
-from ltsim.reports.sections.campaign_coverage import coverage_blocks, coverage_key_figures
+from ltsim.reports.sections.campaign_coverage import coverage_content
 from ltsim.reports.sections.method_comparison import MethodComparison
 from ltsim.simulation.scenario_keys import key_description
 
@@ -110,7 +110,8 @@ def section_of_results(results: CampaignResults) -> Section:
     open_blocks[1:1] = _errors_before_and_after_tables(results, summaries)
     open_blocks[:0] = comparison.blocks() if comparison else []
     blocks: list[Block] = [*open_blocks, *(b for b in distribution_blocks if b not in open_blocks)]
-    blocks += [*coverage_blocks(results), *_statistic_tables(results, comparisons)]
+    coverage_figures, coverage_blocks = coverage_content(results)
+    blocks += [*coverage_blocks, *_statistic_tables(results, comparisons)]
     blocks.append(CodeBlock("Campaign file as JSON", json.dumps(manifest.settings, indent=1)))
     scenarios = [scenario.model_dump(mode="json") for scenario in manifest.scenarios[:MAX_SHOWN_SCENARIOS]]
     which = f"first {MAX_SHOWN_SCENARIOS} " if len(manifest.scenarios) > MAX_SHOWN_SCENARIOS else ""
@@ -126,7 +127,7 @@ def section_of_results(results: CampaignResults) -> Section:
             ]
         ),
         assessment=assessment_of(not sum(comparison.failed_trials for comparison in comparisons)),
-        key_figures=_key_figures(results, comparisons),
+        key_figures=_key_figures(results, comparisons) + coverage_figures,
         blocks=blocks,
         seed_text=str(manifest.seed),
         package_versions=versions,
@@ -193,7 +194,7 @@ def _enumeration_text(texts: Sequence[str]) -> str:
 
 
 def _key_figures(results: CampaignResults, comparisons: Sequence[SolverComparison]) -> list[KeyFigure]:
-    """Key figures of a campaign: trials, combinations of factor levels, methods, failures, solvers, coverage."""
+    """Key figures of a campaign: calibrations (trials times methods), cells, methods, failures, solvers."""
     manifest = results.manifest
     failed = sum(comparison.failed_trials for comparison in comparisons)
     differences = [
@@ -202,7 +203,7 @@ def _key_figures(results: CampaignResults, comparisons: Sequence[SolverCompariso
         if comparison.largest_difference_sigma is not None
     ]
     facts = [
-        KeyFigure("trials", str(sum(comparison.trials for comparison in comparisons))),
+        KeyFigure("calibrations", str(sum(comparison.trials for comparison in comparisons))),
         KeyFigure("combinations of factor levels", str(len(manifest.cells))),
         KeyFigure("methods", ", ".join(manifest.methods)),
         KeyFigure("failed", str(failed), assessment_of(not failed)),
@@ -215,7 +216,7 @@ def _key_figures(results: CampaignResults, comparisons: Sequence[SolverCompariso
                 assessment_of(max(differences) < 1e-3),
             )
         )
-    return facts + coverage_key_figures(results)
+    return facts
 
 
 def _varying_factors_tables(results: CampaignResults) -> list[Block]:

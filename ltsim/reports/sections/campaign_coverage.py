@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 
 from ltsim.campaigns.columns import columns_from_rows
@@ -22,18 +22,37 @@ NOISE_ERROR_PRIOR_FACTOR_KEYS = ("noise_factor", "error_factor", "prior_factor")
 other than 1 the recording declares wrong noise or a wrong prior."""
 
 
-def coverage_key_figures(results: CampaignResults) -> list[KeyFigure]:
-    """Coverage of the 95 % intervals, one key figure for each combination of values of `NOISE_ERROR_PRIOR_FACTOR_KEYS`.
+def coverage_content(results: CampaignResults) -> tuple[list[KeyFigure], list[Block]]:
+    """Key figures of the coverage of intervals, and figures and table of z-scores, from one query of the rows.
 
-    The coverage is expected to be 95 % only where all of these factors are 1.
+    The figures show the coverage by calibration method in the first cell (combination of factor levels).
     """
-    manifest = results.manifest
-    trackers = {entry.cell: s.instrument for entry, s in zip(manifest.cells, manifest.scenarios, strict=False)}
+    trackers = {
+        entry.cell: scenario.instrument
+        for entry, scenario in zip(results.manifest.cells, results.manifest.scenarios, strict=False)
+    }
     coverages_by_kind: dict[str, list[tuple[float, int]]] = {}
+    first_scores: list[ZScoreSummary] = []
+    first_cell_scores_by_method: dict[str, list[ZScoreSummary]] = {}
     for summary in results.iterate_z_score_summaries():
         factors = {name: getattr(trackers.get(summary.cell), name, 1.0) for name in NOISE_ERROR_PRIOR_FACTOR_KEYS}
         text = ", ".join(f"{name.replace('_', ' ')} {value:g}" for name, value in factors.items() if value != 1.0)
         coverages_by_kind.setdefault(text, []).append((summary.coverage_95, summary.trials))
+        scores = first_cell_scores_by_method.setdefault(summary.method, [])
+        if not scores or summary.cell == scores[0].cell:
+            scores.append(summary)
+        if len(first_scores) < MAX_SHOWN_Z_SCORES:
+            first_scores.append(summary)
+    figures = _coverage_figures(results, first_cell_scores_by_method)
+    return _coverage_key_figures(coverages_by_kind), figures + _z_score_table(results, first_scores)
+
+
+def _coverage_key_figures(coverages_by_kind: Mapping[str, Sequence[tuple[float, int]]]) -> list[KeyFigure]:
+    """Coverage of the 95 % intervals, one key figure for each combination of values of `NOISE_ERROR_PRIOR_FACTOR_KEYS`.
+
+    `coverages_by_kind` are coverages and numbers of trials by the text of a combination. The coverage is expected to be
+    95 % only where all of these factors are 1.
+    """
     facts = []
     for text, coverages in sorted(coverages_by_kind.items(), key=lambda group: group[0]):
         shares, n_intervals = [share for share, _ in coverages], sum(trials for _, trials in coverages)
@@ -45,32 +64,27 @@ def coverage_key_figures(results: CampaignResults) -> list[KeyFigure]:
     return facts
 
 
-def coverage_blocks(results: CampaignResults) -> list[Block]:
-    """Figures of the coverage of intervals by calibration method, in the first cell, and table of z-scores.
-
-    A cell is a combination of factor levels.
-    """
-    first_scores: list[ZScoreSummary] = []
-    first_cell_scores_by_method: dict[str, list[ZScoreSummary]] = {}
-    for summary in results.iterate_z_score_summaries():
-        scores = first_cell_scores_by_method.setdefault(summary.method, [])
-        if not scores or summary.cell == scores[0].cell:
-            scores.append(summary)
-        if len(first_scores) < MAX_SHOWN_Z_SCORES:
-            first_scores.append(summary)
-    if not first_scores:
-        return []
+def _coverage_figures(results: CampaignResults, scores_by_method: Mapping[str, Sequence[ZScoreSummary]]) -> list[Block]:
+    """Figures of the coverage of intervals in the first cell, one per calibration method."""
     blocks: list[Block] = []
-    for method, scores in first_cell_scores_by_method.items():
+    for method, scores in scores_by_method.items():
         rows = [s for s in scores if s.trials > 1]
         if rows and len(blocks) < MAX_COVERAGE_FIGURES:
             cell_text = f", {cell_descriptions(results)[scores[0].cell]}" if len(results.levels) > 1 else ""
             blocks.append(
                 PictureBlock(f"Coverage: {method}{cell_text}", partial(coverage_figure, rows), coverage_sentence(rows))
             )
-    text = "z: (estimate - true value) / declared sigma; correct sigmas give mean 0 and standard deviation 1."
-    table = Table.from_columns("z_scores", columns_from_rows(results.with_factor_levels(first_scores)))
-    return [*blocks, *table_blocks("z-scores of the parameters", table, note=text)]
+    return blocks
+
+
+def _z_score_table(results: CampaignResults, scores: Sequence[ZScoreSummary]) -> list[Block]:
+    """Table of z-scores of the parameters; empty without z-scores."""
+    if not scores:
+        return []
+    text = "z: (estimate - true value) / declared sigma; correct sigmas give mean 0 and standard deviation 1. "
+    text += "Coverage 95: fraction of the 95 % intervals that contain the true value; 0.95 is expected."
+    table = Table.from_columns("z_scores", columns_from_rows(results.with_factor_levels(scores)))
+    return [*table_blocks("z-scores of the parameters", table, note=text)]
 
 
 def coverage_sentence(z_scores: Sequence[ZScoreSummary]) -> str:

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from ltsim.adjustment.identification.cause_selection import INFINITE_GAIN_SUBSTITUTE
 from ltsim.adjustment.identification.cause_tests import CauseTest
+from ltsim.adjustment.identification.recommendations import recommendation_for_cause
 from ltsim.core.errors import ModelError
 from ltsim.core.notation import number_text
 from ltsim.core.probability import p_value_text
@@ -76,13 +77,26 @@ def next_actions_after_diagnosis(content: Diagnosis) -> list[str]:
     for finding in content.findings:  # in their order, so that the actions begin with those of the first finding
         is_ambiguous = finding.separate_by and _has_probable_alternative(finding)
         actions += [capitalised_sentence(finding.separate_by)] if is_ambiguous else []
-        actions.append(inspection_action(finding))
+        simple_cause = _simple_cause(finding, content.tests)
+        actions.append(inspection_action(finding) if simple_cause is None else recommendation_for_cause(simple_cause))
     use_sentence = "Use the coordinates in targets.csv, which account for the findings."
     moved_targets = [
         name for finding in probable if finding.effect == TargetMoved.name for name in finding.where.targets
     ]
     use_sentence += f" {moved_coordinates_sentence(moved_targets)}" if moved_targets else ""
     return [*list(dict.fromkeys(actions))[:MAX_ACTIONS_BEFORE_USE], use_sentence]
+
+
+def _simple_cause(finding: Finding, tests: Sequence[CauseTest]) -> CauseTest | None:
+    """Simple cause, by the tests of the adjustment, of a law outside the catalogue with the same place and observable.
+
+    The result is None without such a cause.
+    """
+    if finding.is_catalogued or finding.concerns_reference_value:
+        return None
+    scope = finding.where.observables, finding.where.stations, finding.where.targets
+    same_scope = (t for t in tests if t.is_fault and ((t.acts_on,), t.where.stations, t.where.targets) == scope)
+    return next(same_scope, None)
 
 
 def targets_note(content: Diagnosis) -> str:
@@ -121,15 +135,17 @@ def finding_scope_text(scope: FindingScope) -> str:
 
 
 def evidence_lines(finding: Finding, tests: Sequence[CauseTest]) -> list[str]:
-    """Lines on the evidence of a finding: place, misfit without it, p-value, probability and alternatives.
+    """Lines on the evidence of a finding: place, simple cause, misfit without it, p-value, probability, alternatives.
 
     `tests` are the tests of simple causes of the diagnosis.
     """
     evidence, others = finding.evidence, finding.equivalents
+    simple_cause = _simple_cause(finding, tests)
     p_text = p_value_text(evidence.p_value)
     p_name = "p of its test" if finding.is_corrected_before_search else "p, corrected for the search"
     return [
         f"where: {finding_scope_text(finding.where)}",
+        *([] if simple_cause is None else [f"simple cause: {simple_cause.sentence}"]),
         _misfit_text(finding, tests),
         *([] if evidence.p_value is None else [f"{p_name}: {p_text}"]),
         f"probability: {percent_text(evidence.probability)}",

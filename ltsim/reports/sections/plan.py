@@ -137,7 +137,7 @@ def _layout_pictures(content: Plan, scenario: Scenario | None, *, has_3d_view: b
     workshop = workshop_from_scenario(scenario)
     reference = content.reference_layout.stations if content.reference_layout else ()
     reference_positions = np.array([s.position_mm for s in reference], dtype=np.float64).reshape(-1, 3) * MILLIMETRE
-    text = "Seen from above; x and y in metres. Inside the circles the elevation limit hides the floor." + (
+    text = "Seen from above; x and y in metres. The tracker does not see the floor inside the circles." + (
         " Hollow: the stations of the reference layout." if len(reference_positions) else ""
     )
     floor_areas = content.settings.floor
