@@ -312,9 +312,10 @@ class _LawBatchBuilder:
                     np.log(PRIOR_PROBABILITY_BY_CAUSE_CLASS["law"] * share),
                 )
             )
-        n_entries = 0
-        for shared in sorted(columns.values(), key=lambda shared: shared.n_entries):
-            n_entries += shared.n_entries
+        n_entries = sum(
+            shared.n_entries_per_regressor * len(regressors) for (regressors, _, _), shared in columns.items()
+        )
+        for shared in columns.values():
             shared.is_cached = n_entries <= MAX_CACHED_COLUMN_ENTRIES
         return batches
 
