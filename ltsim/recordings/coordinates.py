@@ -392,9 +392,11 @@ def _missing_sigmas_sentence(has_sigma: Bools, names: Sequence[str], axes: str, 
 def covariance_csv_text(coordinates: Sequence[str], covariance: Floats) -> str:
     """Text of ``NAME.covariance.csv`` [mm^2] from a covariance [m^2]; `coordinates` are names like ``TARGET.x``."""
     stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
+    writer = csv.writer(stream, lineterminator="")
     names = list(map(escape_cell_text, coordinates))
     writer.writerow(["", *names])
     for name, row in zip(names, covariance / MILLIMETRE**2, strict=True):
-        writer.writerow([name, *(f"{entry:.12g}" for entry in row.tolist())])
-    return stream.getvalue()
+        stream.write("\n")
+        writer.writerow([name])
+        stream.write(",%.12g" * len(row) % tuple(row.tolist()))
+    return stream.getvalue() + "\n"

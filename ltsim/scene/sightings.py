@@ -10,6 +10,7 @@ import numpy as np
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.geometry.kinematics import MISALIGNMENT_CHAIN, points_and_error_derivatives
 from ltsim.geometry.polar import beam_frame_axes, polar_jacobian, swap_front_and_raw, to_polar, wrap_angle
+from ltsim.geometry.rigid import pose_jacobian
 
 MIN_AXIS_ROTATION = 1e-4
 """Smallest rotation [rad] of an axis between two pointings that counts as a motion of the axis."""
@@ -152,6 +153,11 @@ class Sightings:
         Rows are readings, columns coordinates in the network frame; units are 1 for the range and rad/m for angles.
         """
         return self.local_derivatives @ np.swapaxes(self.station_rotations[self.station], 1, 2)
+
+    @cached_property
+    def pose_derivatives(self) -> Floats:
+        """Derivatives (n, 3, 6) of the readings of n pointings by translation and rotation of the station."""
+        return pose_jacobian(self.target_derivatives, self.sight_vectors)
 
     @cached_property
     def beam_vectors(self) -> tuple[Floats, Floats, Floats]:

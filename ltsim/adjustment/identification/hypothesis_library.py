@@ -32,7 +32,6 @@ from ltsim.adjustment.station_motions import UniformMotion
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.geometry.rigid import MIN_POINTS_FOR_POSE
 from ltsim.physics.effects.linear_effect import LinearEffect
-from ltsim.physics.effects.motions import station_motion_design
 from ltsim.physics.effects.nest_lift import NestLift
 from ltsim.physics.effects.smr_offset import SmrOffset
 from ltsim.physics.effects.station_bump import StationBump
@@ -197,7 +196,7 @@ def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
         yield ShiftFamily("reflector-seating", "position", "sight", sightings.target_derivatives)
         if np.isfinite(sightings.nest_normals).all(axis=1).any():
             yield ShiftFamily("reflector-radius", "position", "station", SmrOffset().design(sightings))
-    motion = station_motion_design(sightings)
+    motion = sightings.pose_derivatives
     yield ShiftFamily("orientation", "azimuth", "station", azimuth, min_pointings_around_onset=MIN_POINTS_FOR_POSE)
     yield ShiftFamily("station-bump", "position", "station", motion, min_pointings_around_onset=MIN_POINTS_FOR_POSE)
     yield ShiftFamily("station-drift", "position", "station", UniformMotion().design(sightings))

@@ -6,7 +6,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.geometry.polar import swap_front_and_raw, to_polar, wrap_angle
-from ltsim.geometry.rigid import matrix_from_rotation_vector, pose_jacobian
+from ltsim.geometry.rigid import matrix_from_rotation_vector
 from ltsim.physics.effects.effect import Effect, design_from_displacements
 from ltsim.physics.effects.linear_effect import LinearEffect, Linearisation
 from ltsim.scene.sightings import Sightings
@@ -61,17 +61,12 @@ def _linearised_change(
     displacement in n pointings with respect to the p parameters.
     """
     by_target = apparent_sightings.target_derivatives - sightings.target_derivatives
-    by_pose = station_motion_design(apparent_sightings) - station_motion_design(sightings)
+    by_pose = apparent_sightings.pose_derivatives - sightings.pose_derivatives
     return Linearisation(
         reading_change_by_target_positions(sightings, apparent_sightings.local_points),
         displacement_derivatives,
         (by_target, by_pose),
     )
-
-
-def station_motion_design(sightings: Sightings) -> Floats:
-    """Derivatives (n, 3, 6) of the readings of n pointings with respect to translation and rotation of the station."""
-    return pose_jacobian(sightings.target_derivatives, sightings.sight_vectors)
 
 
 def reading_change_by_target_positions(sightings: Sightings, local_points: Floats) -> Floats:
@@ -123,7 +118,7 @@ class StationMotionEffect(Effect):
         raise NotImplementedError
 
     def design(self, sightings: Sightings) -> Floats:
-        return station_motion_design(sightings) @ self.motion(sightings)
+        return sightings.pose_derivatives @ self.motion(sightings)
 
     def reading_change(self, sightings: Sightings, parameter_values: Floats) -> Floats:
         return reading_change_by_station_motion(sightings, self.motion(sightings) @ parameter_values)
@@ -131,4 +126,4 @@ class StationMotionEffect(Effect):
     def linearise(self, sightings: Sightings, parameter_values: Floats) -> Linearisation:
         motion = self.motion(sightings)
         apparent = _sightings_from_moved_stations(sightings, motion @ parameter_values)
-        return _linearised_change(sightings, apparent, station_motion_design(apparent) @ motion)
+        return _linearised_change(sightings, apparent, apparent.pose_derivatives @ motion)

@@ -101,11 +101,14 @@ class Window(TargetDisplacementEffect):
         ]
 
     def displacement(self, sightings: Sightings) -> Floats:
-        beam = sightings.beam_vectors[0]
+        acts = np.flatnonzero(self.pointing_indicator(sightings))
+        beam = sightings.beam_vectors[0][acts]
         normal = np.broadcast_to(np.asarray(self.pane_normal), beam.shape) if any(self.pane_normal) else beam
         cosine = np.sum(beam * normal, axis=1)[:, None]
         normal, cosine = normal * np.sign(cosine), np.abs(cosine)
         inside = np.sqrt(GLASS_REFRACTIVE_INDEX**2 - 1.0 + cosine**2)
         longer = (inside - cosine) * beam
         aside = (1.0 - cosine / inside) * (cosine * beam - normal)
-        return ((longer + aside) * self.pointing_indicator(sightings)[:, None])[:, :, None]
+        displacement = np.zeros((len(sightings), 3, 1))
+        displacement[acts, :, 0] = longer + aside
+        return displacement

@@ -20,7 +20,6 @@ from ltsim.physics.effects.azimuth_eccentricity import AzimuthEccentricity
 from ltsim.physics.effects.effect import ChainErrorTerm
 from ltsim.physics.effects.elevation_eccentricity import ElevationEccentricity
 from ltsim.physics.effects.linear_effect import design_from_displacements, design_from_front_face_corrections
-from ltsim.physics.effects.motions import station_motion_design
 from ltsim.physics.effects.smr_centring import reflector_axes
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
@@ -238,8 +237,8 @@ def _response_registry() -> dict[str, tuple[Response, ResponseDesignFunction]]:
         *((response, partial(_chain_error_design, error_key=key)) for key, response in _CHAIN_ERROR_RESPONSES.items()),
         *((response, effect.design) for response, effect in _ECCENTRICITY_RESPONSES.items()),
         (_RANGE_SCALE_RESPONSE, _range_scale_design),
-        (_STAND_TILT_RESPONSE, lambda s: station_motion_design(s)[:, :, 3:5]),
-        (_STAND_POSITION_RESPONSE, lambda s: station_motion_design(s)[:, :, :3]),
+        (_STAND_TILT_RESPONSE, lambda s: s.pose_derivatives[:, :, 3:5]),
+        (_STAND_POSITION_RESPONSE, lambda s: s.pose_derivatives[:, :, :3]),
         (_TARGET_POSITION_RESPONSE, lambda s: s.target_derivatives),
         (_AIR_GRADIENT_RESPONSE, AirGradient().design),
         (_TARGET_HEIGHT_RESPONSE, _nest_normal_design),

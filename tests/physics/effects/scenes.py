@@ -10,7 +10,6 @@ import numpy as np
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.randomness import random_stream
 from ltsim.physics.effects.effect import Blunder, Effect
-from ltsim.physics.effects.motions import station_motion_design
 from ltsim.scene.sightings import Sightings
 from tests.networks import STATIONS, YAWS, mesh, normals
 
@@ -98,7 +97,7 @@ def network_basis(sightings: Sightings, *, scale: bool = False) -> Floats:
     """Orthonormal basis (3n, u) of what poses, targets and one range scale absorb, in lengths across the beam."""
     n, s, t = len(sightings), len(sightings.station_names), len(sightings.target_names)
     design = np.zeros((n, 3, 6 * s + 3 * t + 1))
-    pose, point = station_motion_design(sightings), sightings.target_derivatives
+    pose, point = sightings.pose_derivatives, sightings.target_derivatives
     for i in range(n):
         at = 6 * sightings.station[i]
         design[i, :, at : at + 6] = pose[i]

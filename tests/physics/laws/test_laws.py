@@ -11,7 +11,6 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.core.randomness import random_stream
-from ltsim.physics.effects.motions import station_motion_design
 from ltsim.physics.laws.catalogue_names import equivalent_effect_name
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.places import MIN_GROUP_TARGETS, target_clusters
@@ -172,7 +171,7 @@ def test_an_obliquely_leaning_stand_is_a_single_law_and_reported_along_both_axes
     )
     way = 5e-6 * np.array([0.6, 0.8])
     column = law.regressor.columns(sightings)[:, 0] * (sightings.station == 1)
-    expected = (station_motion_design(sightings)[:, :, 3:5] @ way) * column[:, None]
+    expected = (sightings.pose_derivatives[:, :, 3:5] @ way) * column[:, None]
     np.testing.assert_allclose(law.design(sightings) @ way, expected, atol=1e-20)
     sizes = displayed_sizes(law, sightings, way, 1e-16 * np.eye(2))
     assert [e.name for e in sizes] == ["rms", "swing about x", "swing about y"]
