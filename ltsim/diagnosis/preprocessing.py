@@ -20,7 +20,6 @@ from ltsim.adjustment.identification.hypothesis import (
 )
 from ltsim.adjustment.significance import (
     MAX_TRACKER_ERROR,
-    MIN_CERTAIN_ERROR_SIGMAS,
     MIN_GROSS_ERROR_SIGMAS,
 )
 from ltsim.core.arrays import Bools
@@ -32,9 +31,9 @@ from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import OBSERVABLES, Recording
 
 MIN_FAR_OUTLIER_SIGMAS = 8.0
-"""Difference of an outlier from its prediction, in standard deviations, above which the outlier may be a single error.
-Readings with twice the declared noise do not reach this difference. If the noise is estimated, the limit is
-`MIN_CERTAIN_ERROR_SIGMAS`."""
+"""Difference of an outlier from its prediction, in declared standard deviations, above which it may be a single error.
+Readings with twice the declared noise do not reach this difference. If the noise is estimated, every outlier of the
+selection of causes may be a single error."""
 MAX_SINGLE_OUTLIERS_PER_PLACE = 2
 """Largest number of outliers of one observable at a station, or at a target, that count as single errors. More outliers
 may be the result of an effect."""
@@ -81,7 +80,7 @@ def single_error_mask(fit: NetworkFit) -> Bools:
     """
     error = np.where(fit.is_outlier, np.abs(fit.whitened_residuals), 0.0) / fit.outlier_prediction_error_sigmas
     has_estimated_noise = any(isinstance(h.model_change, NoiseFactorChange) for h in fit.hypotheses)
-    limit = MIN_CERTAIN_ERROR_SIGMAS if has_estimated_noise else MIN_FAR_OUTLIER_SIGMAS
+    limit = 0.0 if has_estimated_noise else MIN_FAR_OUTLIER_SIGMAS
     isolated, gross = error > limit, fit.is_gross_reading & (error > MIN_GROSS_ERROR_SIGMAS)
     for place in (fit.recording.station, fit.recording.target):
         count = np.stack([np.bincount(place, fit.is_outlier[:, k], place.max() + 1) for k in range(3)], axis=1)
