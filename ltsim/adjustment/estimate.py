@@ -195,6 +195,7 @@ def _without_wrong_references(
     if tested is problem and requires_instrument_constants_for_points(remaining, solution, wrong):
         with_shape_parameters, state = problem.with_instrument_constants(start_state, requires_length=False)
         snooped = snoop_references(with_shape_parameters, solve(with_shape_parameters, state), tested_reference_kinds)
+        # Any misfit is a reason to try the constants; only a point that was excluded without them can become undecided.
         is_point_blamed = any(test.kind == "point" and test.is_excluded for test in wrong)
         is_undecided = is_point_blamed and any(test.indistinguishable_from for test in snooped[2])
         if passes_global_test(*snooped[:2]) or is_undecided:

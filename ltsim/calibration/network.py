@@ -82,8 +82,10 @@ def calibrate_network(
     quiet_by, noise_may_differ, tried_sets, alternates = "", True, [freed], False
     # A single cause of a misfit could absorb an effect that the user requests.
     selection = identify_causes(recording, model, prior) if choose_correction and not requested_effects else None
-    if selection is not None and selection.is_range_constant_error:
-        selection = None  # range zero and scale are parameters of the calibration, whose prior follows the readings
+    if selection is not None and selection.wrong_range_constants:
+        # Range zero and scale are parameters of the calibration, whose prior follows the readings.
+        is_wrong = freed | np.isin(model.parameter_names, selection.wrong_range_constants)
+        selection = identify_causes(recording, model, prior.with_widened_sigmas(is_wrong))
     for remaining in reversed(range(MAX_DECISION_CHANGES if choose_correction else 1)):
         adjusted = partial(
             adjust_with_cause_selection,

@@ -37,6 +37,7 @@ from ltsim.physics.effects.motions import reading_change_by_displacement
 from ltsim.physics.effects.range_mode import RangeMode
 from ltsim.physics.effects.scale_causes import temperature_errors_text
 from ltsim.physics.effects.smr_incidence import SmrIncidence
+from ltsim.physics.effects.target_moved import moved_coordinates_sentence, moved_target_names
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.physics.model.measurement import smr_radius_offsets
 from ltsim.recordings.recording import DISTANCE_METER_COLUMN, OBSERVABLES, Recording
@@ -236,26 +237,26 @@ def network_notes(adjustment: Adjustment) -> tuple[str, ...]:
 
 def _axes_notes(adjustment: Adjustment) -> tuple[str, ...]:
     """Note for users on how well declared coordinates define the axes; empty unless they define only the axes."""
-    accepted_tests = [test for test in adjustment.axes_point_tests if not test.is_excluded]
     fitted = axes_entry(adjustment)
     if fitted is None:
         return ()
-    within = max(float(np.linalg.norm(test.residual)) for test in accepted_tests) / MILLIMETRE
+    tests = adjustment.axes_point_tests
+    within = max(float(np.linalg.norm(test.residual)) for test in tests if not test.is_excluded) / MILLIMETRE
     source = adjustment.recording.setup.datum_source
-    out = [f"{test.name} ({test.error_text})" for test in adjustment.axes_point_tests if test.is_excluded]
-    place, turn = (
-        " ".join(f"{v:.2g}" for v in values) for values in (fitted.sigma_position_mm, fitted.sigma_rotation_arcsec)
-    )
+    place = " ".join(f"{v:.2g}" for v in fitted.sigma_position_mm)
+    turn = " ".join(f"{v:.2g}" for v in fitted.sigma_rotation_arcsec)
     sentence = (
-        f"coordinates in the axes of {source}: {len(accepted_tests)} targets fit it within {within:.3g} mm, "
+        f"coordinates in the axes of {source}: {len(fitted.target_names)} targets fit it within {within:.3g} mm, "
         f"which leaves the axes uncertain by {place} mm (x, y and z at the centroid) and {turn} arcsec (1 sigma)"
     )
-    scale = scale_error_of_declared_axes(adjustment)
-    if scale is not None:
+    if (scale := scale_error_of_declared_axes(adjustment)) is not None:
         amount = with_sigma(scale[0] / PPM, scale[1] / PPM)
         sentence += f"; the scale of the coordinates differs by {amount} ppm from the measured lengths: check the unit "
         sentence += f"and the temperature of both ({temperature_errors_text(scale[0])})"
-    return (f"{sentence}; excluded from the datum: {names_text(out)}" if out else sentence,)
+    if out := [f"{test.name} ({test.error_text})" for test in tests if test.is_excluded]:
+        sentence += f"; excluded from the datum: {names_text(out)}"
+    moved = [test.name for test in tests if test.name in moved_target_names(adjustment.effects)]
+    return (f"{sentence}. {moved_coordinates_sentence(moved)}" if moved else sentence,)
 
 
 def frame_text(adjustment: Adjustment) -> str:

@@ -32,7 +32,6 @@ from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.identification import CauseSelection, identify_causes
 from ltsim.adjustment.refit import Refit
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.adjustment.significance import MAX_CHANCE_SIGMAS
 from ltsim.adjustment.structure import raise_for_singular_network
 from ltsim.calibration.prior_information import EarlierCalibrationPrior
 from ltsim.core.arrays import Bools
@@ -57,6 +56,7 @@ from ltsim.diagnosis.preprocessing import (
     adjustment_without_blunders,
     axes_point_findings,
     effects_of_uncorrected_causes,
+    revised_error_mask,
 )
 from ltsim.diagnosis.prior import MAX_MODEL_EFFECTS
 from ltsim.diagnosis.schema import Finding
@@ -131,12 +131,12 @@ def diagnose(
     is_mismatch = global_test.p_value < level
     initial_space, initial_designs = state.residual_space, state.searcher.catalogue_designs
     state, model, refit = _search_and_refit(state, compare_with_reference, is_mismatch=is_mismatch)
-    if selection is not None and model.hypotheses:
-        rejected_mask = np.isfinite(recording.readings) & ~state.is_used_reading
-        readmitted_mask = _readmitted_reading_mask(refit.adjustment, rejected_mask)
-        if readmitted_mask.any():  # the effects of the model explain these rejected readings
+    if selection is not None:
+        error_mask = np.isfinite(recording.readings) & ~state.is_used_reading
+        revised_mask = revised_error_mask(selection.fit, refit.adjustment, error_mask)
+        if not np.array_equal(revised_mask, error_mask):  # with the effects of the model, other readings are wrong
             del state, initial_space, initial_designs, model, refit  # their memory is for the second search
-            state, blunder_findings = start_state(level=None, readmitted_mask=readmitted_mask)
+            state, blunder_findings = start_state(level=None, error_mask=revised_mask)
             initial_space, initial_designs = state.residual_space, state.searcher.catalogue_designs
             state, model, refit = _search_and_refit(state, compare_with_reference, is_mismatch=is_mismatch)
     final_adjustment = refit.adjustment if refit.adjustment.solution.has_converged else state.baseline_adjustment
@@ -187,22 +187,22 @@ def _state_without_blunders(
     seed: int,
     tests_ordinary_constants: bool,
     level: float | None,
-    readmitted_mask: Bools | None = None,
+    error_mask: Bools | None = None,
 ) -> tuple[SelectionState, list[Finding]]:
     """State of the model selection before the search for effects, without blunders, and findings on the blunders.
 
     `construction` is the geometric error model of the instruments, and `seed` the seed of simulated recordings.
     `selection` contains the simple causes of the network, blunders among them. With a `level` (false-alarm rate) the
     search has a p-value. With `tests_ordinary_constants` the search also tests changes of the instrument constants of
-    the ordinary calibration. `readmitted_mask` (n, 3) flags readings of n pointings that count as blunders but are
-    used.
+    the ordinary calibration. `error_mask` (n, 3) flags the readings of n pointings that are not used, by default
+    the single errors.
     """
     if selection is None:
         baseline, blunder_findings = adjust(recording, construction), list[Finding]()
         use = baseline.problem.is_used_reading
     else:
         baseline, use, blunder_findings = adjustment_without_blunders(
-            recording, construction, selection, readmitted_mask=readmitted_mask
+            recording, construction, selection, error_mask=error_mask
         )
     state = SelectionState.from_adjustment(
         baseline,
@@ -213,15 +213,6 @@ def _state_without_blunders(
         effects_of_uncorrected_causes=() if selection is None else effects_of_uncorrected_causes(selection),
     )
     return state, blunder_findings
-
-
-def _readmitted_reading_mask(adjustment: Adjustment, is_omitted: Bools) -> Bools:
-    """Flags (n, 3) of the omitted readings of n pointings whose residuals are small in an adjustment with effects.
-
-    `is_omitted` (n, 3) flags the omitted readings.
-    """
-    whitened_residual = np.nan_to_num(np.abs(adjustment.residuals / adjustment.problem.reading_sigmas), nan=np.inf)
-    return is_omitted & (whitened_residual < MAX_CHANCE_SIGMAS)
 
 
 def _has_effect_varying_constant(constant_name: str, effects: Sequence[CandidateEffect]) -> bool:

@@ -18,12 +18,14 @@ from ltsim.adjustment.identification.hypothesis import (
     NoiseFactorChange,
     ReadingShiftChange,
 )
+from ltsim.adjustment.reliability import critical_normalised_residual
 from ltsim.adjustment.significance import (
+    MAX_CHANCE_SIGMAS,
     MAX_TRACKER_ERROR,
-    MIN_CERTAIN_ERROR_SIGMAS,
     MIN_GROSS_ERROR_SIGMAS,
 )
 from ltsim.core.arrays import Bools
+from ltsim.core.rounding import NORMAL_EQUATIONS_TOLERANCE
 from ltsim.diagnosis.findings_from_tests import axes_point_finding, blunder_finding, cause_test_finding
 from ltsim.diagnosis.schema import Finding
 from ltsim.physics.effects import CATALOGUE
@@ -32,9 +34,8 @@ from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import OBSERVABLES, Recording
 
 MIN_FAR_OUTLIER_SIGMAS = 8.0
-"""Smallest difference of an outlier from its prediction, in standard deviations, that may be a single error. Readings
-with twice the declared noise do not reach this difference. If the noise is estimated, the limit is
-`MIN_CERTAIN_ERROR_SIGMAS`."""
+"""Smallest difference of an outlier from its prediction, in standard deviations, that may be a single error before the
+search for effects. Readings with twice the declared noise do not reach this difference."""
 MAX_SINGLE_OUTLIERS_PER_PLACE = 2
 """Largest number of outliers of one observable at a station, or at a target, that count as single errors. More outliers
 may be the result of an effect."""
@@ -72,21 +73,35 @@ def effects_of_uncorrected_causes(selection: CauseSelection) -> tuple[CandidateE
     return tuple(cast(CandidateEffect, effect) for effect in effects if type(effect) in CATALOGUE)
 
 
-def single_error_mask(fit: NetworkFit) -> Bools:
+def single_error_mask(fit: NetworkFit, min_error_sigmas: float = MIN_FAR_OUTLIER_SIGMAS) -> Bools:
     """Flags (n, 3) of the outliers of n pointings that count as single errors and not as results of an effect.
 
-    Single errors are gross errors, and large errors without others at the same place. If several readings of an
-    observable are wrong at one station or at one target, an effect may be the cause. `fit` is the adjustment with the
-    outliers.
+    Single errors are gross errors, and errors above `min_error_sigmas` standard deviations without others at the same
+    place. If several readings of an observable are wrong at one station or at one target, an effect may be the cause.
+    `fit` is the adjustment with the outliers.
     """
     error = np.where(fit.is_outlier, np.abs(fit.whitened_residuals), 0.0) / fit.outlier_prediction_error_sigmas
-    has_estimated_noise = any(isinstance(h.model_change, NoiseFactorChange) for h in fit.hypotheses)
-    limit = MIN_CERTAIN_ERROR_SIGMAS if has_estimated_noise else MIN_FAR_OUTLIER_SIGMAS
-    isolated, gross = error > limit, fit.is_gross_reading & (error > MIN_GROSS_ERROR_SIGMAS)
+    isolated, gross = error > min_error_sigmas, fit.is_gross_reading & (error > MIN_GROSS_ERROR_SIGMAS)
     for place in (fit.recording.station, fit.recording.target):
         count = np.stack([np.bincount(place, fit.is_outlier[:, k], place.max() + 1) for k in range(3)], axis=1)
         isolated &= count[place] <= MAX_SINGLE_OUTLIERS_PER_PLACE
     return gross | isolated
+
+
+def revised_error_mask(fit: NetworkFit, adjustment: Adjustment, error_mask: Bools) -> Bools:
+    """Flags (n, 3) of the single errors among the readings of n pointings, in an adjustment with the selected effects.
+
+    `error_mask` (n, 3) flags the readings that the adjustment does not use; those that agree with it are no errors. If
+    the noise is estimated, outliers of `fit` that are single errors and also contradict the adjustment are added. `fit`
+    is the adjustment with the simple causes, the noise and the outliers.
+    """
+    whitened = np.abs(adjustment.residuals) / fit.problem.reading_sigmas
+    remaining_mask = error_mask & ~(np.nan_to_num(whitened, nan=np.inf) < MAX_CHANCE_SIGMAS)
+    if not any(isinstance(h.model_change, NoiseFactorChange) for h in fit.hypotheses):
+        return remaining_mask
+    redundancy = np.where(adjustment.redundancy > NORMAL_EQUATIONS_TOLERANCE, adjustment.redundancy, np.nan)
+    limit = critical_normalised_residual(int(fit.problem_with_all_readings.is_used_reading.sum()))
+    return remaining_mask | (single_error_mask(fit, 0.0) & (whitened > limit * np.sqrt(redundancy)))
 
 
 def adjustment_without_blunders(
@@ -94,18 +109,16 @@ def adjustment_without_blunders(
     construction: GeometricErrorModel,
     selection: CauseSelection,
     *,
-    readmitted_mask: Bools | None = None,
+    error_mask: Bools | None = None,
 ) -> tuple[Adjustment, Bools, list[Finding]]:
     """Adjustment without blunders, flags (n, 3) of the readings of n pointings in it, and findings on blunders.
 
     The readings are corrected by the estimated blunders, whose uncertainty is in the model. `selection` has the simple
-    causes of the recording. `construction` is the geometric error model of the instruments. `readmitted_mask` (n, 3)
-    flags readings that are used although they count as single errors.
+    causes of the recording. `construction` is the geometric error model of the instruments. `error_mask` (n, 3) flags
+    the readings that are not used, by default the single errors.
     """
     fit, mistakes = selection.fit, causes_corrected_before_search(selection)
-    errors = single_error_mask(fit)
-    if readmitted_mask is not None:
-        errors &= ~readmitted_mask
+    errors = single_error_mask(fit) if error_mask is None else error_mask
     baseline = adjust_with_causes(fit, recording, construction, mistakes, subtracts_changes=True, reading_mask=~errors)
     rows = {(int(i) + 1, OBSERVABLES[k]) for i, k in np.argwhere(errors)}
     places = {(reported_kind(fit, h), h.stations, h.targets) for h in mistakes}

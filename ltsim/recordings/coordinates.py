@@ -47,11 +47,9 @@ MIN_EIGENVALUE_PER_ROW = -1e-9
 eigenvalue negative.
 """
 MAX_COORDINATE_READ_AS_METRES = 500.0
-"""Limit of the largest coordinate of a list without unit. Below it, the coordinates are in metres, otherwise in
-millimetres."""
+"""Limit of the largest coordinate of a list without unit: below it the unit is the metre, otherwise the millimetre."""
 MIN_NATIONAL_GRID_COORDINATE = 1e6
-"""Limit of the largest coordinate of a list without unit. Above it, the coordinates belong to a national grid, whose
-unit is the metre."""
+"""Limit of the largest coordinate of a list without unit: above it the list is in a national grid, in metres."""
 NATIONAL_GRID_TITLES = ("rechtswert", "hochwert", "easting", "northing", "east", "north", "e", "n")
 """Column titles, in lower case, of coordinates in a national grid, which without a unit are read in metres."""
 HEADERLESS_FIELD_COUNTS = (4, 7, 8, 16, 17)

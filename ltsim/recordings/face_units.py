@@ -23,7 +23,7 @@ from ltsim.recordings.transcription_errors import (
     length_disagreement,
 )
 
-MIN_TWO_FACE_PAIRS = 3
+MIN_TWO_FACE_TARGETS = 3
 """Smallest number of targets for a test of the unit of a face; the station measured them in both faces. With two
 targets, one gross error in each would be enough to make a wrong unit fit."""
 MAX_RATIO_OF_CONVERTED_DISAGREEMENT = (
@@ -81,10 +81,10 @@ class FaceUnitError:
 def face_unit_errors(recording: Recording) -> list[FaceUnitError]:
     """Wrong units and conventions of one face, one element per error and face, with the stations where they occur.
 
-    A station is tested if it measured `MIN_TWO_FACE_PAIRS` targets or more in both faces. The list is empty if the
+    A station is tested if it measured `MIN_TWO_FACE_TARGETS` targets or more in both faces. The list is empty if the
     faces of all stations agree, or if no unit or convention explains their difference.
     """
-    pairs = _two_face_pairs(recording)
+    pairs = recording.face_pair_rows(recording.is_measured.any(axis=1))
     if not len(pairs):
         return []
     stations = recording.station[pairs[:, 0]]
@@ -92,7 +92,7 @@ def face_unit_errors(recording: Recording) -> list[FaceUnitError]:
     suspects = [
         s
         for s in np.unique(stations).tolist()
-        if np.sum(stations == s) >= MIN_TWO_FACE_PAIRS
+        if len(np.unique(recording.target[pairs[stations == s, 0]])) >= MIN_TWO_FACE_TARGETS
         and np.median(disagreements[stations == s]) > MIN_RELATIVE_DISAGREEMENT_OF_WRONG_LENGTHS
     ]
     errors: dict[tuple[str, int], list[tuple[int, Floats, WrongColumnConversion]]] = {}
@@ -151,19 +151,6 @@ def _common_face_error(
 def _rows_of_face(recording: Recording, station: int, face: int) -> Ints:
     """Indices (k,) of the pointings of one station in one face."""
     return np.flatnonzero((recording.station == station) & (recording.face == face))
-
-
-def _two_face_pairs(recording: Recording) -> Ints:
-    """Indices (k, 2) of the first pointings in face 1 and in face 2, for k pairs of station and target."""
-    key = recording.station * max(len(recording.targets), 1) + recording.target
-    has_reading = recording.is_measured.any(axis=1)
-    first_rows = []
-    for face in (1, 2):
-        rows = np.flatnonzero((recording.face == face) & has_reading)
-        keys, places = np.unique(key[rows], return_index=True)
-        first_rows.append((keys, rows[places]))
-    _, in_1, in_2 = np.intersect1d(first_rows[0][0], first_rows[1][0], assume_unique=True, return_indices=True)
-    return np.stack([first_rows[0][1][in_1], first_rows[1][1][in_2]], axis=1)
 
 
 def _face_point_distances(readings: Floats, pairs: Ints) -> Floats:

@@ -307,6 +307,20 @@ class Recording(Result):
             sources=tuple(self.sources[i] for i in row_indices) if self.sources else (),
         )
 
+    def face_pair_rows(self, is_usable_pointing: Bools | None = None) -> Ints:
+        """Indices (m, 2) of m pairs of pointings in face 1 and face 2, from one station to one target in one repeat.
+
+        `is_usable_pointing` (n,) flags the pointings that may belong to a pair, by default the complete ones.
+        """
+        is_usable = self.is_usable_reading.all(axis=1) if is_usable_pointing is None else is_usable_pointing
+        rows_by_key: dict[tuple[int, int, int], dict[int, int]] = {}
+        keys = zip(self.station.tolist(), self.target.tolist(), self.repeat.tolist(), strict=True)
+        for row, key in enumerate(keys):
+            if is_usable[row]:
+                rows_by_key.setdefault(key, {})[int(self.face[row])] = row
+        row_pairs = [(faces[1], faces[2]) for faces in rows_by_key.values() if len(faces) == 2]
+        return np.array(row_pairs, dtype=np.int64).reshape(-1, 2)
+
     def thin(self, row_step: int) -> Recording:
         """Recording with every `row_step`-th of the pointings from each station to each target in each face."""
         return self.select((repeat_numbers(self.station, self.target, self.face) - 1) % row_step == 0)

@@ -14,6 +14,8 @@ from ltsim.adjustment.estimate import adjust
 from ltsim.core.errors import RecordError
 from ltsim.core.units import ARCSECOND
 from ltsim.geometry.rigid import matrix_from_rotation_vector
+from ltsim.physics.effects.motions import reading_change_by_displacement
+from ltsim.physics.model.measurement import sightings_at_state
 from ltsim.recordings.coordinates import read_points
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Station, Target
@@ -109,6 +111,21 @@ def test_a_drawing_fits_roughly_and_a_wrong_name_is_excluded(recording: Recordin
     (note,) = lt.adjust(aligned).notes
     assert "11 targets fit it within" in note
     assert "excluded from the datum: T05 (39" in note
+
+
+def test_result_and_axes_state_the_same_time_of_a_moved_target() -> None:
+    """Its declared coordinates of after the motion were off by the motion, and nothing said that it was the motion."""
+    recording, _ = network(faces=2, seed=5)
+    moved, motion = recording.targets[7], np.array([2e-3, 0.0, 0.0])
+    seen = sightings_at_state(recording, adjust(recording).state)
+    later = (recording.target == 7) & (recording.station > 1)
+    readings = recording.readings + reading_change_by_displacement(seen, later[:, None] * motion)
+    goal = hall(recording, list(recording.targets))
+    goal[moved] = goal[moved] + TURN @ motion
+    result = lt.adjust(with_axes_from_points(recording.with_readings(readings), goal, "hall.csv"))
+    statement = f"The coordinates of {moved} refer to the time before the motion."
+    assert any(f"excluded from the datum: {moved} (1.99" in n and n.endswith(statement) for n in result.notes)
+    assert any(test.sentence.endswith(statement) for test in result.tests)
 
 
 @pytest.mark.parametrize(

@@ -279,12 +279,13 @@ def test_every_probable_finding_is_reported():
     assert both.fit.after.chi2 < 0.5 * both.fit.before.chi2
 
 
-def test_an_outlier_among_readings_with_small_noise_is_a_single_error() -> None:
-    """Distances with 0.4 times the declared noise, and an azimuth that is off by 7.5 sigma: only noise was reported."""
+@pytest.mark.parametrize("sigmas", [7.5, -5.5])
+def test_an_outlier_among_readings_with_small_noise_is_a_single_error(sigmas: float) -> None:
+    """Distances with 0.4 times the declared noise, and a single wrong azimuth: only noise was reported."""
     recording = network(faces=2, seed=23)[0]
     readings = recording.readings.copy()
     readings[:, 0] -= 0.65 * np.nan_to_num(adjust(recording).residuals[:, 0])
-    readings[20, 1] += 7.5 * recording.reading_sigmas()[20, 1]
+    readings[20, 1] += sigmas * recording.reading_sigmas()[20, 1]
     selection = identify_causes(recording.with_readings(readings))
     assert selection is not None
     assert np.argwhere(single_error_mask(selection.fit)).tolist() == [[20, 1]]

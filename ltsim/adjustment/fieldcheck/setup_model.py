@@ -303,7 +303,7 @@ class TwoFaceDifferences:
         permissible full difference is A um + B um per metre of range. If `mpe` is None, the limit is computed from the
         declared noise and the specification of the instrument.
         """
-        if not len(face_pair_rows(recording)):
+        if not len(recording.face_pair_rows()):
             return None
         pairs, corrected_pairs = two_face_pairs(recording), two_face_pairs(motion_corrected_recording)
         sigma = recording.reading_sigmas()
@@ -361,18 +361,6 @@ class TwoFacePairs:
         )
 
 
-def face_pair_rows(recording: Recording) -> Ints:
-    """Indices (m, 2) of m pairs of complete pointings in face 1 and face 2, from one station to one target."""
-    is_complete = np.all(recording.is_usable_reading, axis=1)
-    rows_by_key: dict[tuple[int, int, int], dict[int, int]] = {}
-    keys = zip(recording.station.tolist(), recording.target.tolist(), recording.repeat.tolist(), strict=True)
-    for row, key in enumerate(keys):
-        if is_complete[row]:
-            rows_by_key.setdefault(key, {})[int(recording.face[row])] = row
-    row_pairs = [(faces[1], faces[2]) for faces in rows_by_key.values() if len(faces) == 2]
-    return np.array(row_pairs, dtype=np.int64).reshape(-1, 2)
-
-
 def two_face_pairs(
     recording: Recording, construction: GeometricErrorModel | None = None, parameter_values: Floats | None = None
 ) -> TwoFacePairs:
@@ -381,7 +369,7 @@ def two_face_pairs(
     `parameter_values` [SI] are the p parameters of the error model `construction`, (p,), or (n, p) for n pointings. By
     default the readings are not corrected. Raises NetworkError if no target was measured in both faces.
     """
-    row_pairs = face_pair_rows(recording)
+    row_pairs = recording.face_pair_rows()
     if not len(row_pairs):
         raise NetworkError(
             "no station measured range and both angles to a target in both faces; measure some targets in both faces"

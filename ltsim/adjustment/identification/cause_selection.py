@@ -52,10 +52,9 @@ SYSTEMATIC_CAUSE_KINDS = (
 MAX_MISCLOSURE_OF_USED_REFERENCE = 0.1
 """Limit of the misclosure [m] of a reference value. A value with a larger misclosure is excluded before an adjustment,
 because the adjustment may not converge with it."""
-
-
-RANGE_CONSTANT_ERROR_KINDS = ("constant-offset", "scale-error")
-"""Kinds of errors of distances that constants of an instrument cause: its range zero and the scale of its ranges."""
+RANGE_CONSTANT_BY_ERROR_KIND = {"constant-offset": "range-offset", "scale-error": "range-scale"}
+"""Range constant of an instrument (name of its parameter) that an error of all distances may come from, by the kind of
+the error."""
 DISPLACED_REFLECTOR_KINDS = ("reflector-seating", "target-moved")
 """Kinds of causes that displace the reflector at one target."""
 
@@ -160,19 +159,18 @@ class CauseSelection:
         return any(choice.hypothesis.kind == "unit" for choice in self.selected_hypotheses)
 
     @property
-    def is_range_constant_error(self) -> bool:
-        """True if the only cause is an error of all distances of an instrument that its constants may explain.
+    def wrong_range_constants(self) -> tuple[str, ...]:
+        """Range constants (names of instrument parameters) that explain selected errors of all distances.
 
-        The error is an offset (range zero) or a scale error. The limit of the displacement is `MAX_TRACKER_ERROR`; a
-        larger offset is that of another reflector, a larger scale error that of another unit.
+        The limit of the displacement is `MAX_TRACKER_ERROR`; a larger offset is that of another reflector, a larger
+        scale error that of another unit.
         """
-        hypotheses = [choice.hypothesis for choice in self.selected_hypotheses]
-        if len(hypotheses) != 1 or hypotheses[0].acts_on != "distance":
-            return False
-        (only,) = hypotheses
-        is_everywhere = len(only.stations) != 1 and not only.targets
-        is_constant = only.kind in RANGE_CONSTANT_ERROR_KINDS and is_everywhere
-        return is_constant and largest_displacement(self.fit, only) < MAX_TRACKER_ERROR
+        return tuple(
+            RANGE_CONSTANT_BY_ERROR_KIND[h.kind]
+            for h in (choice.hypothesis for choice in self.selected_hypotheses)
+            if h.kind in RANGE_CONSTANT_BY_ERROR_KIND and h.acts_on == "distance"
+            if len(h.stations) != 1 and not h.targets and largest_displacement(self.fit, h) < MAX_TRACKER_ERROR
+        )
 
     @property
     def certain_station_motions(self) -> tuple[FittedMotion, ...]:

@@ -1,4 +1,4 @@
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal, Self
 
@@ -27,6 +27,11 @@ PLAUSIBLE_TARGET_CREEP_RATE = 40 * SI_PER_UNIT["um/h"]
 def moved_coordinates_sentence(target_names: Sequence[str]) -> str:
     """Sentence on the time to which the coordinates of targets with a `TargetMoved` in the model refer."""
     return f"The coordinates of {names_text(target_names)} refer to the time before the motion."
+
+
+def moved_target_names(effects: Iterable[object]) -> tuple[str, ...]:
+    """Names of the targets with a `TargetMoved` among the effects of a model."""
+    return tuple(name for effect in effects if isinstance(effect, TargetMoved) for name in effect.targets)
 
 
 @dataclass(frozen=True)

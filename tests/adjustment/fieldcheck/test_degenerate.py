@@ -11,7 +11,6 @@ import pytest
 import ltsim as lt
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.fieldcheck import check
-from ltsim.adjustment.fieldcheck.setup_model import face_pair_rows
 from ltsim.adjustment.quality import adjustment_warnings
 from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, GLOBAL_TEST_LEVEL
 from ltsim.calibration.network import calibrate_network
@@ -209,7 +208,7 @@ def test_azimuths_along_the_vertical_axis_change_nothing_in_a_check_of_a_single_
     turned = np.where(twice.is_along_standing_axis[:, None] & [False, True, False], 1.0 + face[:, None], readings)
     assert twice.is_along_standing_axis.sum() == 2 and check(twice).passed
     assert str(check(twice.with_readings(turned))) == str(check(twice))
-    assert len(face_pair_rows(twice)) == len(once) - 1
+    assert len(twice.face_pair_rows()) == len(once) - 1
 
 
 def test_a_target_that_only_a_vertical_pointing_reaches_is_undetermined_and_the_note_names_the_row(

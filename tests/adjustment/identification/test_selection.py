@@ -149,13 +149,24 @@ def test_a_scale_error_of_all_distances_is_no_error_of_control_points(share: flo
     readings[:, 0] *= 1.0 + share
     selection = identified(recording.with_readings(readings))
     assert only_cause(selection) == ("scale-error", (), ())
-    assert selection.is_range_constant_error == (share < 1e-4)
+    assert selection.wrong_range_constants == ("range-scale",) * (share < 1e-4)
     (test,) = cause_tests(selection)
     assert test.estimate == pytest.approx(1e6 * share, abs=5.0 * test.sigma)
     adjusted = lt.adjust(recording.with_readings(readings))
     assert adjusted.adjustment is not None
     assert not adjusted.adjustment.rejected_references
     assert adjusted.fit.chi2 < 1.2 * adjusted.fit.dof
+
+
+def test_a_range_offset_stays_a_constant_of_the_calibration_beside_another_cause() -> None:
+    """Beside a wrong reflector it was a cause of its own, and the calibration corrected no distance."""
+    recording, _ = hall()
+    result = lt.calibrate(
+        shifted(shifted(recording, recording.target >= 0, 0, 2e-4), recording.target == 7, 0, 12.7e-3)
+    )
+    assert [test.where.targets for test in result.tests if test.kind != "outlier"] == [("T08",)]
+    offset = next(p for p in result.parameters if p.name == "range-offset")
+    assert offset.value == pytest.approx(-200.0, abs=3.0 * offset.sigma)
 
 
 @pytest.mark.parametrize(
