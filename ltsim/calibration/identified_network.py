@@ -125,13 +125,15 @@ def cause_tests_of_adjustment(selection: CauseSelection | None, adjustment: Adju
     """
     if selection is None:
         return ()
+    tests = cause_tests(selection)
+    if selection.requires_adjustment_with_causes:
+        return tests
     hypotheses = [choice.hypothesis for choice in selection.selected_hypotheses]
-    is_whole = selection.requires_adjustment_with_causes
     return tuple(
-        test.model_copy(
-            update={"is_in_model": is_whole or i >= len(hypotheses) or _contains_cause(adjustment, hypotheses[i])}
-        )
-        for i, test in enumerate(cause_tests(selection))
+        test
+        if i >= len(hypotheses) or _contains_cause(adjustment, hypotheses[i])
+        else test.model_copy(update={"is_in_model": False})
+        for i, test in enumerate(tests)
     )
 
 

@@ -84,7 +84,7 @@ def face_unit_errors(recording: Recording) -> list[FaceUnitError]:
     A station is tested if it measured `MIN_TWO_FACE_TARGETS` targets or more in both faces. The list is empty if the
     faces of all stations agree, or if no unit or convention explains their difference.
     """
-    pairs = recording.face_pair_rows(recording.is_measured.any(axis=1))
+    pairs = recording.face_pair_rows(np.any(recording.is_measured, axis=1))
     if not len(pairs):
         return []
     stations = recording.station[pairs[:, 0]]

@@ -312,7 +312,7 @@ class Recording(Result):
 
         `is_usable_pointing` (n,) flags the pointings that may belong to a pair, by default the complete ones.
         """
-        is_usable = self.is_usable_reading.all(axis=1) if is_usable_pointing is None else is_usable_pointing
+        is_usable = np.all(self.is_usable_reading, axis=1) if is_usable_pointing is None else is_usable_pointing
         rows_by_key: dict[tuple[int, int, int], dict[int, int]] = {}
         keys = zip(self.station.tolist(), self.target.tolist(), self.repeat.tolist(), strict=True)
         for row, key in enumerate(keys):

@@ -117,9 +117,9 @@ def test_result_and_axes_state_the_same_time_of_a_moved_target() -> None:
     """Its declared coordinates of after the motion were off by the motion, and nothing said that it was the motion."""
     recording, _ = network(faces=2, seed=5)
     moved, motion = recording.targets[7], np.array([2e-3, 0.0, 0.0])
-    seen = sightings_at_state(recording, adjust(recording).state)
+    sightings = sightings_at_state(recording, adjust(recording).state)
     later = (recording.target == 7) & (recording.station > 1)
-    readings = recording.readings + reading_change_by_displacement(seen, later[:, None] * motion)
+    readings = recording.readings + reading_change_by_displacement(sightings, later[:, None] * motion)
     goal = hall(recording, list(recording.targets))
     goal[moved] = goal[moved] + TURN @ motion
     result = lt.adjust(with_axes_from_points(recording.with_readings(readings), goal, "hall.csv"))

@@ -158,7 +158,7 @@ def test_a_scale_error_of_all_distances_is_no_error_of_control_points(share: flo
     assert adjusted.fit.chi2 < 1.2 * adjusted.fit.dof
 
 
-def test_a_range_offset_stays_a_constant_of_the_calibration_beside_another_cause() -> None:
+def test_a_range_offset_stays_a_constant_of_the_calibration_with_another_cause() -> None:
     """Beside a wrong reflector it was a cause of its own, and the calibration corrected no distance."""
     recording, _ = hall()
     result = lt.calibrate(
