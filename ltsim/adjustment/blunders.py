@@ -104,9 +104,9 @@ def _distances_from_targets(adjustment: Adjustment, readings: Floats, rows: Ints
 
 
 def _tolerances(adjustment: Adjustment, rows: Ints) -> Floats:
-    """Largest distances (k,) [m] of the measured points of k pointings `rows` (k,) from their targets without blunder.
+    """Largest distances (k,) [m] between measured point and target without a blunder, for k pointings `rows` (k,).
 
-    Errors of a tracker are below `MAX_TRACKER_ERROR`. Noise of a total station may be larger.
+    They are `MAX_TRACKER_ERROR`, or `MIN_CERTAIN_ERROR_SIGMAS` standard deviations if that is more (total stations).
     """
     sigmas = np.nan_to_num(adjustment.problem.reading_sigmas * adjustment.sightings.displacement_per_reading)[rows]
     return np.maximum(MAX_TRACKER_ERROR, MIN_CERTAIN_ERROR_SIGMAS * np.linalg.norm(sigmas, axis=1))

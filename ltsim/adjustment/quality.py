@@ -20,7 +20,7 @@ from ltsim.adjustment.significance import (
     MIN_MISFIT_RATIO,
     SINGLE_TEST_LEVEL,
 )
-from ltsim.adjustment.station_motions import motion_sentences
+from ltsim.adjustment.station_motions import motions_with_sentences
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import LtsimError, NetworkError
 from ltsim.core.notation import MAX_LISTED_SENTENCES, names_text
@@ -207,7 +207,7 @@ def _cause_sentences(adjustment: Adjustment) -> Iterator[str]:
 
 def _motion_sentences(adjustment: Adjustment) -> Iterator[str]:
     """Sentences on estimated motions of stations during their occupation."""
-    yield from () if adjustment.cause_sentences else (sentence for _, sentence in motion_sentences(adjustment))
+    yield from () if adjustment.cause_sentences else (sentence for _, sentence in motions_with_sentences(adjustment))
 
 
 def _declared_position_sentences(adjustment: Adjustment) -> Iterator[str]:

@@ -230,7 +230,7 @@ def _damped_step(
     `last_adjustment`.
     """
     for share in 0.5 ** np.arange(1 + MAX_STEP_HALVINGS):
-        moved = _effects_with_changed_shapes(effects, linearised_shapes, share * changes)
+        moved = _effects_with_moved_shape_parameters(effects, linearised_shapes, share * changes)
         tried = adjust_function(effects=moved, start_state=last_adjustment.state)
         if tried.solution.has_converged and tried.chi2 <= last_adjustment.chi2 * (1.0 + NORMAL_EQUATIONS_TOLERANCE):
             return moved, tried
@@ -243,7 +243,7 @@ def _values_by_effect(effects: Sequence[LinearEffect], parameter_values: Floats)
     return np.split(parameter_values[: sum(n_parameters)], np.cumsum(n_parameters)[:-1]) if n_parameters else []
 
 
-def _effects_with_changed_shapes(
+def _effects_with_moved_shape_parameters(
     effects: list[CandidateEffect], linearised_shapes: list[list[LinearisedShapeParameter]], changes: Floats
 ) -> list[CandidateEffect]:
     """Effects after relative `changes` of shape parameters (such as periods), in the order of `linearised_shapes`."""

@@ -81,11 +81,11 @@ class ResidualSpace:
         place = np.flatnonzero(self.is_used_reading)
         return place, 1.0 / self.reading_sigmas.reshape(-1)[place, None]
 
-    def whiten(self, design: Floats, gauge_changes: Floats | None = None) -> Floats:
+    def whiten(self, design: Floats, reference_length_changes: Floats | None = None) -> Floats:
         """Whitened design columns (m, q) of m equations, from changes of readings and reference lengths.
 
-        `design` (n, 3, q) contains the changes of the readings of n pointings per unit of q parameters, `gauge_changes`
-        (g, q) [m] those of g reference lengths (gauge). Other equations do not change.
+        `design` (n, 3, q) contains the changes of the readings of n pointings per unit of q parameters, and
+        `reference_length_changes` (g, q) [m] those of g reference lengths (gauge). Other equations do not change.
         """
         whitened_rows = np.zeros((self.n_equations, design.shape[2]))
         place, weight = self._used_reading_weights
@@ -93,9 +93,9 @@ class ResidualSpace:
         np.multiply(
             readings if self.is_used_reading.all() else readings[place], weight, out=whitened_rows[: len(place)]
         )
-        if gauge_changes is not None and len(gauge_changes):
-            whitened_rows[len(place) : len(place) + len(gauge_changes)] = (
-                self.adjustment.problem.gauge_rows.decorrelate(gauge_changes)
+        if reference_length_changes is not None and len(reference_length_changes):
+            whitened_rows[len(place) : len(place) + len(reference_length_changes)] = (
+                self.adjustment.problem.gauge_rows.decorrelate(reference_length_changes)
             )
         return whitened_rows
 

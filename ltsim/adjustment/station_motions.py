@@ -65,7 +65,7 @@ def with_mean_times_of_consecutive_pointings(sightings: Sightings) -> Sightings:
     return replace(sightings, time=(np.bincount(run, sightings.time) / np.bincount(run))[run])
 
 
-def motion_sentences(adjustment: Adjustment) -> Iterator[tuple[FittedMotion, str]]:
+def motions_with_sentences(adjustment: Adjustment) -> Iterator[tuple[FittedMotion, str]]:
     """Station motions that an adjustment estimates, each with a sentence for the user on its size."""
     first_column = 0
     for effect in adjustment.effects:

@@ -202,10 +202,10 @@ def shared_json_values(values: Iterable[Any]) -> Iterator[Any]:
 
 
 def _shared_json_part(value: Any, part_by_text: dict[str, Any]) -> Any:
-    """First JSON value equal to `value` in `part_by_text`, to which new values are added with their parts.
+    """JSON value in `part_by_text` that equals `value`; if there is none, `value` is added and returned.
 
-    A function inside `shared_json_values` would refer to itself, and its parts would stay in memory until the collector
-    of cyclic garbage runs.
+    The parts of `value` are treated in the same way first. The function is not nested in `shared_json_values`, because
+    a recursive nested function refers to itself and keeps the dictionary in memory until cyclic garbage is collected.
     """
     if isinstance(value, dict):
         value = {key: _shared_json_part(part, part_by_text) for key, part in value.items()}

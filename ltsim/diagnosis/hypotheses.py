@@ -130,7 +130,7 @@ class EffectModel:
         is_visible = eigenvalues > NORMAL_EQUATIONS_TOLERANCE
         return (
             0.5
-            * RELATIVE_ERROR_OF_LAW_FORM
+            * UNCERTAIN_CHI2_FRACTION_OF_LAW
             * float(np.sum((eigenvectors.T @ (unit * score))[is_visible] ** 2 / eigenvalues[is_visible]))
         )
 
@@ -150,7 +150,7 @@ class EffectModel:
         return self.log_evidence - self.discrepancy_penalty * max(len(self.hypotheses) - 1, 0)
 
 
-RELATIVE_ERROR_OF_LAW_FORM = 0.05
+UNCERTAIN_CHI2_FRACTION_OF_LAW = 0.05
 """Fraction of the chi-square decrease by an empirical law (error as a function of covariates) that the decrease by a
 further effect must exceed. The function is an approximation, and a second effect could otherwise describe its error."""
 

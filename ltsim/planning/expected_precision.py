@@ -172,13 +172,13 @@ class ExpectedDisagreement:
     """
 
     distance_disagreement_before: Floats
-    """Expected disagreement (k,) [m] in the distances between targets before calibration."""
+    """Expected disagreement [m] of the stations in target distances before calibration, (k,) for k error sizes."""
     distance_disagreement_after: Floats
-    """Expected disagreement (k,) [m] in the distances between targets after calibration."""
+    """Expected disagreement [m] of the stations in target distances after calibration, (k,) for k error sizes."""
     coordinate_disagreement_before: Floats
-    """Expected disagreement (k,) [m] in the coordinates of targets before calibration."""
+    """Expected disagreement [m] of the stations in target coordinates before calibration, (k,) for k error sizes."""
     coordinate_disagreement_after: Floats
-    """Expected disagreement (k,) [m] in the coordinates of targets after calibration."""
+    """Expected disagreement [m] of the stations in target coordinates after calibration, (k,) for k error sizes."""
 
     @property
     def distance_improvement(self) -> Floats:

@@ -103,7 +103,7 @@ class KeepOutRule(PositionRule):
         """Flags (N,): True for each of N positions (N, 3) [m] in an area to be kept free, or in its clearance."""
         is_in_area = np.zeros(len(position), dtype=bool)
         for area in self.areas:
-            is_in_area |= area.contains_positions(position[:, :2])
+            is_in_area |= area.blocks_positions(position[:, :2])
         return is_in_area
 
     def reason(self, position: Floats) -> str:
@@ -154,7 +154,7 @@ def floor_rules(
     return rules if obstacles is None else (*rules, ObstacleRule(obstacles))
 
 
-def meets_all(rules: Sequence[PositionRule], position: Floats) -> Bools:
+def meets_position_rules(rules: Sequence[PositionRule], position: Floats) -> Bools:
     """Flags (N,): True for each of N positions (N, 3) [m] that meets all rules.
 
     Later rules are tested only at the positions that meet the earlier ones.

@@ -15,7 +15,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import InputError, RecordError, reraise_as_input_error
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.effects import CATALOGUE
-from ltsim.planning.layout_rules import ClearanceRule, SpacingRule, floor_rules, meets_all
+from ltsim.planning.layout_rules import ClearanceRule, SpacingRule, floor_rules, meets_position_rules
 from ltsim.planning.spec import WALLS_NAME, PlanFile, PlanPoint
 from ltsim.planning.station_placement import StationPlacement
 from ltsim.recordings.coordinates import PointList, read_points as read_coordinates
@@ -339,7 +339,7 @@ def _initial_station_positions(plan_file: PlanFile, scenario: Scenario, n_statio
     rules = floor_rules(areas, keep_outs, obstacles)
     if obstacles is not None:
         rules = (*rules, ClearanceRule(StandClearance(obstacles, plan_file.stations.clearance_mm * MILLIMETRE)))
-    grid = grid[meets_all(rules, grid)]
+    grid = grid[meets_position_rules(rules, grid)]
     if not len(grid):
         raise InputError(
             "the floor has no place for a tripod; enlarge the floor, move obstacles, or reduce search.grid_step_mm "

@@ -267,7 +267,7 @@ def choose_reflectors(
 
 
 def _is_usable_place(search_space: SearchSpace, survey: PlannedSurvey, places: Floats) -> Bools:
-    """Flags (P,): True for a place that enough stations see, in a fixed nest also within the limit of incidence.
+    """Flags (P,): True for a place that enough stations see, in an aimed nest also within the incidence limit.
 
     `places` (P, 3) [m] are the coordinates.
     """

@@ -30,7 +30,7 @@ from ltsim.planning.layout_rules import (
     TargetSightsRule,
     floor_rules,
     is_feasible_layout,
-    meets_all,
+    meets_position_rules,
 )
 from ltsim.planning.station_placement import StationPlacement
 from ltsim.planning.survey import PlannedSurvey
@@ -97,10 +97,10 @@ class SearchSpace(ValueEquality):
 
         `needs_clearance` (N,) is False for a position at which a station already stands, so that its stand fits.
         """
-        is_allowed = meets_all(self._floor_rules, position)
+        is_allowed = meets_position_rules(self._floor_rules, position)
         tested = np.flatnonzero(is_allowed & needs_clearance)
         if self._clearance_rule is not None:
-            is_allowed[tested] = meets_all([self._clearance_rule], position[tested])
+            is_allowed[tested] = meets_position_rules([self._clearance_rule], position[tested])
         return is_allowed
 
     def is_allowed_station(self, survey: PlannedSurvey) -> Bools:

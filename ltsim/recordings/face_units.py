@@ -99,7 +99,7 @@ def face_unit_errors(recording: Recording) -> list[FaceUnitError]:
     for s in suspects:
         station_pairs = pairs[stations == s]
         initial = float(np.median(disagreements[stations == s]))
-        candidates = list(_candidate_face_errors(recording, s, station_pairs))
+        candidates = list(_candidate_errors_of_face(recording, s, station_pairs))
         medians = [float(np.median(_face_point_distances(readings, station_pairs))) for _, _, readings in candidates]
         limit = min(MAX_RATIO_OF_CONVERTED_DISAGREEMENT * initial, MIN_RELATIVE_DISAGREEMENT_OF_WRONG_LENGTHS)
         if min(medians, default=initial) < limit:
@@ -167,7 +167,7 @@ def _face_point_distances(readings: Floats, pairs: Ints) -> Floats:
     return np.asarray(np.linalg.norm(points[:, 0] - points[:, 1], axis=1) / np.abs(filled[..., 0]).max(axis=1))
 
 
-def _candidate_face_errors(recording: Recording, station: int, pairs: Ints) -> Iterator[ReadingsWithoutError]:
+def _candidate_errors_of_face(recording: Recording, station: int, pairs: Ints) -> Iterator[ReadingsWithoutError]:
     """Errors and faces that may explain the disagreement of the faces, with the readings (n, 3) without the error.
 
     `pairs` (k, 2) are the pointings in face 1 and face 2 at the station.

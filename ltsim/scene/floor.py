@@ -212,7 +212,7 @@ class KeepOutArea:
     clearance: float = 0.0
     """Width [m] of the strip around the outline that must be free too."""
 
-    def contains_positions(self, positions: Floats) -> Bools:
+    def blocks_positions(self, positions: Floats) -> Bools:
         """Flags (N,) of those of N positions (N, 2) [m] on the floor that are in the area or its clearance."""
         is_near = distance_to_outline(self.outline, positions) < self.clearance + EDGE_TOLERANCE
         return is_near | is_inside_outline(self.outline, positions) if len(self.outline) > 2 else is_near

@@ -107,7 +107,10 @@ class TrueInstrumentValue(TrueParameterValue):
 
     @classmethod
     def from_si(cls, parameter_name: str, si_value: float, unit: str) -> Self:
-        """Entry with the value `si_value` in `unit`; `parameter_name` may be ``PARAMETER@INSTRUMENT``."""
+        """Entry of a parameter with the SI value `si_value`, converted to `unit`.
+
+        `parameter_name` may be ``PARAMETER@INSTRUMENT``.
+        """
         name, _, instrument = parameter_name.partition("@")
         whose = {"instrument": instrument} if instrument else {}
         return cls(name=name, value=si_value / SI_PER_UNIT[unit], unit=unit, **whose)

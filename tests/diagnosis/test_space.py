@@ -14,7 +14,7 @@ from ltsim.core.randomness import random_stream
 from ltsim.diagnosis.catalogue_designs import CatalogueDesigns, catalogue_candidate_effects
 from ltsim.diagnosis.evidence import coefficient_posterior, log_evidence_of_coefficients, log_positivity_factor
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
-from ltsim.diagnosis.hypotheses import RELATIVE_ERROR_OF_LAW_FORM, EffectModel, Hypothesis, HypothesisRanking
+from ltsim.diagnosis.hypotheses import UNCERTAIN_CHI2_FRACTION_OF_LAW, EffectModel, Hypothesis, HypothesisRanking
 from ltsim.diagnosis.law_batch import indices_of_largest
 from ltsim.diagnosis.law_search_space import law_batches
 from ltsim.diagnosis.noise import NoiseHypothesisSet, noise_hypotheses
@@ -279,7 +279,7 @@ def test_what_an_unknown_law_leaves_is_no_further_cause(space):
     models = [
         EffectModel((h,), (projected,), np.linalg.norm(projected, axis=0)[None], whole) for h in (unknown, hypothesis)
     ]
-    assert models[0].discrepancy_penalty == pytest.approx(0.5 * RELATIVE_ERROR_OF_LAW_FORM * whole @ whole)
+    assert models[0].discrepancy_penalty == pytest.approx(0.5 * UNCERTAIN_CHI2_FRACTION_OF_LAW * whole @ whole)
     assert models[1].discrepancy_penalty == 0.0
 
 

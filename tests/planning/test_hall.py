@@ -14,7 +14,7 @@ import ltsim as lt
 from ltsim.cli.main import run
 from ltsim.core.errors import InputError
 from ltsim.planning import reasons, work_order
-from ltsim.planning.layout_rules import SpacingRule, floor_rules, meets_all
+from ltsim.planning.layout_rules import SpacingRule, floor_rules, meets_position_rules
 from ltsim.planning.loading import load_plan, read_points
 from ltsim.planning.planner import StationCountResult
 from ltsim.planning.result import scenario_of_plan
@@ -103,7 +103,7 @@ def test_holes_ceilings_and_clearance_take_floor_away() -> None:
     }  # fmt: skip
     areas, free = areas_and_keep_outs(Floor.model_validate(text), (4000, 4000, 3000), (1.4, 1.8))
     at = np.array([[0.5, 0.5, 1.5], [1.5, 1.5, 1.5], [0.5, 0.5, 1.9], [2.7, 3.0, 1.5], [2.5, 3.0, 1.5]])
-    assert meets_all(floor_rules(areas, free, None), at).tolist() == [True, False, False, False, True]
+    assert meets_position_rules(floor_rules(areas, free, None), at).tolist() == [True, False, False, False, True]
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
 """Evaluation of the bench test of a reflector (SMR): range error as a function of the incidence angle.
 
-The reflector is rotated on a roundness table (rotary table), an interferometer measures the length to the reflector,
+The reflector is rotated on a rotary table, an interferometer measures the length to the reflector,
 and a probe measures the eccentricity of its sphere on the table. A rotation by alpha of a sphere with the eccentricity
 c changes the length by -(c_x cos alpha - c_y sin alpha). This change is removed. An interferometer records only changes
 of length, so that the range error is determined relative to its value at 0 deg. This value is part of the range offset
@@ -62,7 +62,7 @@ class BenchRow(Entry):
     """Range error of the reflector at one angle of incidence, relative to its error at the angle nearest 0 deg."""
 
     angle_deg: Finite
-    """Angle [deg] of the roundness table, equal to the angle of incidence."""
+    """Angle of incidence [deg], equal to the angle of the rotary table that carries the reflector."""
     uncorrected_length_um: Finite
     """Measured length minus the length at the angle nearest 0 deg [um]; it contains the effect of the eccentricity of
     the sphere."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.blunders import apply_corrections, detect_blunders
-from ltsim.adjustment.fieldcheck.bump_choice import fit_neg_log_p, most_significant
+from ltsim.adjustment.fieldcheck.bump_choice import most_significant, neg_log_p_of_chi2_drop
 from ltsim.adjustment.fieldcheck.network import (
     adjust_for_check,
     n_network_tests,
@@ -264,13 +264,13 @@ def _gross_pointings_and_bump(
         alone = neg_log_p_chi2(drop, rank) - np.log(len(setup_model.row_mask))
         worst = index_of_largest(alone)
         bump, explained, gaps = best_fitting_bump(setup_model)
-        creep = fit_neg_log_p(setup_model.fit_columns(UniformMotion().design(setup_model.sightings)))
-        steady = creep >= fit_neg_log_p(explained) - np.log(gaps)
+        creep = neg_log_p_of_chi2_drop(setup_model.fit_columns(UniformMotion().design(setup_model.sightings)))
+        steady = creep >= neg_log_p_of_chi2_drop(explained) - np.log(gaps)
         bump = None if steady or setup_model.p_value(explained) * gaps >= test_family.alpha_per_test else bump
         enough = (
             alone[worst] <= max(-np.log(test_family.alpha_per_test), creep if steady else 0.0) or len(gross) >= most
         )
-        if enough or (bump is not None and alone[worst] <= fit_neg_log_p(explained) - np.log(gaps)):
+        if enough or (bump is not None and alone[worst] <= neg_log_p_of_chi2_drop(explained) - np.log(gaps)):
             return gross, bump, setup_model
         gross[worst] = float(np.exp(-alone[worst]))
         use: Bools = setup_model.row_mask & np.asarray(np.arange(len(setup_model.row_mask)) != worst)

@@ -15,7 +15,7 @@ from ltsim.adjustment.quality import network_warnings, require_usable_adjustment
 from ltsim.adjustment.reference_tests import reference_tests_with_estimated_noise
 from ltsim.adjustment.reference_values import ReferenceKind
 from ltsim.adjustment.significance import GLOBAL_TEST_LEVEL, MIN_CHECKED_REDUNDANCY, MIN_DOF_FOR_ESTIMATED_NOISE
-from ltsim.adjustment.station_motions import FittedMotion, SuddenMotion, motion_sentences
+from ltsim.adjustment.station_motions import FittedMotion, SuddenMotion, motions_with_sentences
 from ltsim.adjustment.verdict import VerdictCase, verdict_on
 from ltsim.core.arrays import Bools
 from ltsim.core.errors import ConvergenceError, LtsimError, NetworkError
@@ -138,7 +138,7 @@ def network_check_items(
         CheckItem.from_test(
             ", ".join(motion.stations), "bump" if isinstance(motion, SuddenMotion) else "drift", False, sentence
         )
-        for motion, sentence in motion_sentences(fitted)
+        for motion, sentence in motions_with_sentences(fitted)
         if motion in station_motions
     ]
     is_explained = np.zeros(len(recording), dtype=bool)

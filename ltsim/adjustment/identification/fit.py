@@ -121,11 +121,11 @@ class NetworkFit:
         approximate_sightings: Sightings | None = None,
         robust_state: NetworkState | None = None,
     ) -> NetworkFit | None:
-        """Network fit with hypotheses in its model; None if the fit does not converge or a shift is not significant.
+        """Network fit that also estimates the shifts of `hypotheses`; None without convergence or significant shifts.
 
         The fit starts at `start_state`, by default at `robust_state` (the state of a robust fit, which is computed if
         None). With `approximate_sightings` (approximate ranges and directions of the pointings) the start values of the
-        shifts are subtracted from the readings first.
+        shifts are subtracted from the readings before the fit.
         """
         fit = cls._with_hypotheses(fit_input, tuple(hypotheses), start_state, approximate_sightings, robust_state)
         for _ in range(MAX_NOISE_ITERATIONS):

@@ -23,7 +23,7 @@ FIXED_COORDINATE_SIGMA_M = 1e-7
 """Standard deviation [m] that represents a fixed coordinate in the adjustment."""
 FIXED_AXES_BY_KEYWORD: dict[str, str] = {"CALA": "xyz", "VXY": "z", "VXZ": "y", "VYZ": "x", "VZ": "xy", "POIN": ""}
 """Axes along which points are fixed, by the keyword (such as ``*CALA``) of the section with their declarations."""
-SIGMA_OPTIONS = ("SX", "SY", "SZ")
+COORDINATE_SIGMA_OPTIONS = ("SX", "SY", "SZ")
 """Options of a point that precede the standard deviations along x, y, z."""
 SIGMA_ROTATION_OPTIONS = ("BEAR", "SLOPE", "ROLL", "HDEFL")
 """Options that rotate the axes of a point's standard deviations; a file with such an option is refused."""
@@ -166,7 +166,7 @@ def parse_observed_point(line_words: LineWords) -> tuple[str, Floats, Floats]:
     message = "*OBSXYZ needs a point, three coordinates and three standard deviations"
     name, point = _name_and_point(line_words, message)
     line_words.first_words(7, message)
-    sigma = np.array(line_words.numbers(4, *SIGMA_OPTIONS))
+    sigma = np.array(line_words.numbers(4, *COORDINATE_SIGMA_OPTIONS))
     if not np.all(sigma > 0):
         raise line_words.location.error("the line has a standard deviation of 0, expected one above 0")
     return name, point, np.diag(sigma * MILLIMETRE) ** 2
@@ -192,11 +192,13 @@ def _read_precision(point: DeclaredPoint, sigma_words: list[str], location: Sour
             _parse_matrix("".join(sigma_words[sigma_words.index("APRICOV") + 1 :][:1]), location),
         )
         return
-    value_by_option = {word: sigma_words[i + 1] for i, word in enumerate(sigma_words[:-1]) if word in SIGMA_OPTIONS}
+    value_by_option = {
+        word: sigma_words[i + 1] for i, word in enumerate(sigma_words[:-1]) if word in COORDINATE_SIGMA_OPTIONS
+    }
     sigma = np.array(
         [
             location.parse_number(value_by_option[s], s) * MILLIMETRE if s in value_by_option else np.nan
-            for s in SIGMA_OPTIONS
+            for s in COORDINATE_SIGMA_OPTIONS
         ]
     )
     if value_by_option:

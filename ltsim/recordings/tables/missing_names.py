@@ -90,7 +90,7 @@ def require_single_unnamed_setup(table: PointingTable, readings: Floats, file: o
             )
             raise UnrecognisedStationColumnError(message, file=file)
         advice = "add a column station, or give --hint station=NAME if it is a single set-up"
-        message = f"{fault}, so it has several set-ups; {advice}"
+        message = f"{fault}, so it appears to have several set-ups; {advice}"
         raise RecordError(message, file=file)
 
 

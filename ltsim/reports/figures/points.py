@@ -233,7 +233,7 @@ def _draw_misfit_over_time(ax: Axes, check: Check) -> None:
             )
             has_label = True
     style.set_grid(ax)
-    ax.set_title("Misfit of each pointing (dots: corrected)" if is_corrected else "Misfit of each pointing")
+    ax.set_title("Misfit of each pointing (dots: motion corrected)" if is_corrected else "Misfit of each pointing")
     ax.set_xlabel(unit)
     ax.set_ylabel("rms [sigma]")
     ax.set_ylim(0, 1.3 * ax.get_ylim()[1])
