@@ -137,14 +137,18 @@ def assemble_recording(
     azimuth_sigma = covariates.get(SIGMA_COLUMNS[1], missing_values) * ARCSECOND
     is_total_station = bool(total_station_reason(table, interpretation, readings))
     has_circle = is_total_station or table.column_with_role(("horizontal",)) is not None
-    same_position, occupation_notes = split_occupations(table, readings, azimuth_sigma, has_circle=has_circle)
+    first_setup_of_occupation, occupation_notes = split_occupations(
+        table, readings, azimuth_sigma, has_circle=has_circle
+    )
     is_levelled = is_total_station and table.column_with_role(("elevation",)) is None
-    setup, level_notes = with_setups_over_marks(table, setup, readings, rounds=same_position, levelled=is_levelled)
+    setup, level_notes = with_setups_over_marks(
+        table, setup, readings, rounds=first_setup_of_occupation, levelled=is_levelled
+    )
     faces, face_notes = _pointing_faces(table, readings)
     times, start_moment, time_notes = pointing_times(table, hints)
     if start_moment and not setup.started:
         setup = setup.model_copy(update={"started": start_moment})
-    covariates, height_notes = covariates_with_instrument_heights(table, covariates)
+    covariates, height_notes = covariates_with_instrument_heights(table, covariates, first_setup_of_occupation)
     height = np.stack([covariates.get(name, missing_values) for name in HEIGHT_COLUMNS], axis=1) * MILLIMETRE
     unapplied_notes = unapplied_heights_notes(table, readings, height)
     if unapplied_notes:
