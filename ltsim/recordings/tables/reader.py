@@ -9,9 +9,10 @@ from ltsim.core.arrays import Floats
 from ltsim.core.units import ARCSECOND, MILLIMETRE, SI_PER_UNIT, unit_ratio
 from ltsim.geometry.polar import swap_front_and_raw
 from ltsim.recordings.air import NO_AIR_UNCERTAINTY
-from ltsim.recordings.conventions import NO_HINTS, Hints, floor_plan_poses
+from ltsim.recordings.conventions import floor_plan_poses
 from ltsim.recordings.curvature import with_earth_curvature
 from ltsim.recordings.files import MAX_CELL_TEXT_LENGTH, safe_excerpt
+from ltsim.recordings.hints import NO_HINTS, Hints
 from ltsim.recordings.occupations import check_centring_tables
 from ltsim.recordings.pointings import NOT_MEASURED, PointingColumns, has_all_sigma_columns, recording_from_columns
 from ltsim.recordings.recording import (
