@@ -154,18 +154,23 @@ class ReadingOptions:
 
 @dataclass(frozen=True)
 class ReadingOptionsWithControl(ReadingOptions):
-    """Options of a command for reading a recording and a file of control points (targets with known coordinates)."""
+    """Options of a command for reading a recording and a file of control points (targets with known coordinates).
+
+    Levelled heights of control points, in the file or in `setup.toml`, are reported in a note.
+    """
 
     control: ControlFileOption = None
 
     def read(self, path: Path, *, is_growing: bool = False) -> Recording:
         """Recording at `path`, with the control points of the file `control` if it is given; raises RecordError."""
         recording = super().read(path, is_growing=is_growing)
-        if self.control is None:
+        if self.control is None and not (recording.setup.curved and recording.setup.targets):
             return recording
-        from ltsim.adjustment.axes import with_control_points
+        from ltsim.adjustment.axes import with_control_points, with_levelled_control_note
 
-        return with_control_points(recording, self.control)
+        if self.control is not None:
+            recording = with_control_points(recording, self.control)
+        return with_levelled_control_note(recording, self.control.name if self.control else "setup.toml")
 
 
 @dataclass(frozen=True)
