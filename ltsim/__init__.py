@@ -37,6 +37,7 @@ if TYPE_CHECKING:
         plan as plan,
         station_alternatives as station_alternatives,
     )
+    from ltsim.recordings import Hints as Hints
     from ltsim.reports.verbs import report as report, view as view
     from ltsim.simulation.verbs import scenario as scenario, simulate as simulate
 
@@ -55,6 +56,7 @@ _PUBLIC_NAMES_BY_MODULE = {
     "campaigns.recovery_checks": ("recovery_checks",),
     "campaigns.injection": ("inject", "injection_curve"),
     "planning.verbs": ("plan", "next_measurement", "station_alternatives"),
+    "recordings": ("Hints",),
     "reports.verbs": ("view", "report"),
     "physics.effects.verbs": ("Effect", "add_effect", "catalogue"),
     "measurands.verbs": ("compare", "uncertainty"),

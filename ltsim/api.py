@@ -7,13 +7,14 @@ from typing import Any
 
 from ltsim.core.arguments import check_argument_bounds
 from ltsim.core.errors import ModelError, RecordError
-from ltsim.recordings import Hints, Recording, read as read_recording, write as write_recording
+from ltsim.recordings import Recording, read as read_recording, write as write_recording
 from ltsim.recordings.exchange import RecordingSource, is_supported_recording
+from ltsim.recordings.hints import HintsArgument
 from ltsim.recordings.native import OBSERVATIONS_FILE
 from ltsim.recordings.result_file import ResultFile, read_json, read_result, write_result
 
 
-def read(path: str | Path, *, format: str | None = None, hints: Hints | None = None) -> Any:  # noqa: A002
+def read(path: str | Path, *, format: str | None = None, hints: HintsArgument = None) -> Any:  # noqa: A002
     """Recording in any format, or result that a command or `lt.write` wrote.
 
     A file is data: it is checked against the model of its format, and nothing that it names is imported or run.
@@ -24,8 +25,9 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
         Folder or file.
     format : str, optional
         Name of the format of a recording; default by content, then by suffix.
-    hints : Hints, optional
-        Interpretation of an ambiguous recording, such as the unit of its angles.
+    hints : Hints or mapping, optional
+        Interpretation of an ambiguous recording, such as the unit of its angles: ``{"angle": "gon"}``. The keys and
+        values are those of the option `--hint` and, as `columns`, of `--columns`.
 
     Returns
     -------
@@ -37,6 +39,8 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
     ------
     RecordError
         If the file is invalid or ambiguous; the message states what is wrong and where, or the required hint.
+    InputError
+        If a hint is invalid.
 
     Examples
     --------
@@ -173,7 +177,7 @@ def convert(
     *,
     to: str = "native",
     format: str | None = None,  # noqa: A002
-    hints: Hints | None = None,
+    hints: HintsArgument = None,
     every: int = 1,
 ) -> Recording:
     """Read a recording in one format and write it in another.

@@ -10,11 +10,13 @@ from ltsim.core.results import Column, Result, Table
 
 
 def names() -> str:
-    """Markdown with an autodoc directive per function of `ltsim.__all__`, followed by the classes of results."""
+    """Markdown with an autodoc directive per name of `ltsim.__all__`, followed by the classes of results."""
     lines: list[str] = []
     for name in ltsim.__all__:
-        if inspect.isfunction(getattr(ltsim, name)):
-            lines += [f"## ltsim.{name}", "", "```{eval-rst}", f".. autofunction:: ltsim.{name}", "```", ""]
+        public = getattr(ltsim, name)
+        if not inspect.ismodule(public):
+            directive = "autofunction" if inspect.isfunction(public) else "autoclass"
+            lines += [f"## ltsim.{name}", "", "```{eval-rst}", f".. {directive}:: ltsim.{name}", "```", ""]
     lines += [
         "## Results",
         "",

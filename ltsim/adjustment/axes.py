@@ -184,23 +184,32 @@ def with_control_points(recording: Recording, path: Path) -> Recording:
         raise RecordError("the file contains none of the recording's targets; the spelling must be the same", file=path)
     notes = [f"{count_text(count, 'control point')} of {path.name}, each with its standard deviation"]
     notes += unmeasured_points_notes(unmeasured_names, path.name)
-    notes += _levelled_control_notes(recording, listed.coordinates_by_name, path.name)
     setup = recording.setup.model_copy(update={"targets": targets})
     return recording.replace(setup=setup, notes=(*recording.notes, *listed.notes, *notes))
 
 
-def _levelled_control_notes(recording: Recording, points_by_name: Mapping[str, Floats], source_text: str) -> list[str]:
-    """Note, in a list, on heights above a level surface among control points, if the network models a curved earth.
+def with_levelled_control_note(recording: Recording, source_text: str) -> Recording:
+    """Recording with a note if its control points have heights above a level surface and it models a curved earth.
 
-    It is empty if the network without the control points cannot be adjusted.
+    `source_text` is the name of the file with the control points. The recording is unchanged if the network without the
+    control points cannot be adjusted.
     """
-    points = {name: place for name, place in points_by_name.items() if name in recording.targets}
+    known = {name: recording.target_setup(name) for name in recording.targets}
+    points = {
+        name: np.array(target.known_mm) * MILLIMETRE
+        for name, target in known.items()
+        if target.known_mm is not None and target.known_axes == "xyz"
+    }
     if not recording.setup.curved or len(points) <= N_PLANE_COEFFICIENTS + 1:  # none of the heights would be redundant
-        return []
+        return recording
+    unknown = {"known_mm": None, "known_covariance_mm2": None}
+    targets = {**recording.setup.targets, **{name: known[name].model_copy(update=unknown) for name in points}}
+    free = recording.replace(setup=recording.setup.model_copy(update={"targets": targets}))
     try:
-        return levelled_heights_notes(adjust(recording), points, source_text)
+        notes = levelled_heights_notes(adjust(free), points, source_text)
     except LtsimError:
-        return []
+        return recording
+    return recording.replace(notes=(*recording.notes, *notes))
 
 
 def unmeasured_points_notes(names: Sequence[str], source_text: str) -> list[str]:

@@ -132,7 +132,8 @@ class ReferenceTest(ReferenceValue):
         if self.kind == "scale":
             more, less = ("long", "short") if self.error[0] > 0 else ("short", "long")
             causes = "check the temperature, the expansion coefficient and the scale of the ranges"
-            causes += f" ({temperature_errors_text(float(self.error[0]))})"
+            reason = temperature_errors_text(float(self.error[0]), expansion_per_k=self.expansion_per_k)
+            causes += f" ({reason})"
             remark = "; the ranges now define the scale, the lengths only their ratios" if self.is_excluded else ""
             size = f"{self.name} are {self.error_text} too {more} ({self.statistic_text})"
             return f"{size}, or all ranges are too {less}: {causes}{remark}"
@@ -273,6 +274,7 @@ def _reference_test(value: ReferenceValueRows, gram_matrix: Floats, residual_inn
         float(np.sum(eigen_products**2 / redundancies)),
         int(checked.sum()),
         occupied_by=value.occupied_by,
+        expansion_per_k=value.expansion_per_k,
         error_length_sigma=length_sigma(error, (eigen_errors / redundancies) @ eigen_errors.T),
     )
 

@@ -12,7 +12,7 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.references import MIN_UNKNOWN_SCALE_SIGMA_PPM
+from ltsim.recordings.references import MIN_UNKNOWN_SCALE_SIGMA_PPM, common_expansion_per_k
 
 ReferenceKind = Literal["point", "difference", "length", "level", "yaw", "mark", "axes", "scale"]
 """Kind of a reference value.
@@ -48,6 +48,8 @@ class ReferenceValue:
     """Misclosures (q,) [m, rad or 1] of the q components: declared minus adjusted values."""
     occupied_by: str = field(default="", kw_only=True)
     """Name of the set-up over a known point that is not measured as a target; empty for other reference values."""
+    expansion_per_k: float = field(default=0.0, kw_only=True)
+    """Declared coefficient of thermal expansion [1/K] of all known lengths, for their scale; otherwise 0."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +125,11 @@ def common_scale_reference(problem: NetworkProblem, state: NetworkState) -> Iter
         shown = gauge.decorrelate(np.where(felt, gauge.lengths, 0.0)[:, None])
         weight, gap = float(np.sum(shown**2)), gauge.decorrelate(np.where(felt, problem.length_residuals(state), 0.0))
         rows, sigma = int(problem.is_used_reading.sum()) + np.arange(len(gauge)), np.array([weight**-0.5])
-        yield ReferenceValueRows("scale", "all known lengths", "", sigma, gap @ shown / weight, rows, shown)
+        expansion = common_expansion_per_k(problem.model.recording.gauge)
+        misclosure = gap @ shown / weight
+        yield ReferenceValueRows(
+            "scale", "all known lengths", "", sigma, misclosure, rows, shown, expansion_per_k=expansion
+        )
 
 
 def _centring_declarations(problem: NetworkProblem, state: NetworkState) -> Iterator[ReferenceValueRows]:

@@ -6,7 +6,7 @@ import inspect
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 
@@ -21,7 +21,7 @@ from ltsim.core.arguments import (
     bounded_number_parser,
     check_argument_choice,
 )
-from ltsim.core.errors import FLAG_BY_ARGUMENT_NAME, InputError, RecordError
+from ltsim.core.errors import FLAG_BY_ARGUMENT_NAME, InputError
 
 if TYPE_CHECKING:
     from ltsim.recordings import Hints, Recording
@@ -122,20 +122,11 @@ ControlFileOption = Annotated[
 def hints_from_texts(
     key_value_texts: list[str] | None, columns: str | None = None, *, is_growing: bool = False
 ) -> Hints:
-    """Hints for the interpretation of a file from `KEY=VALUE` texts; raises RecordError for an invalid key or value."""
-    from ltsim.recordings import Hints
+    """Hints for the interpretation of a file from `KEY=VALUE` texts; raises InputError for an invalid key or value."""
+    from ltsim.recordings.hints import hints_from_argument
 
-    value_by_key: dict[str, Any] = {}
-    types = {name: kind for name, kind in get_type_hints(Hints).items() if name not in ("columns", "is_growing")}
-    for pair in key_value_texts or []:
-        key, _, value = pair.partition("=")
-        if key not in types or not value:
-            raise RecordError(f"--hint {pair}: expected KEY=VALUE with a key among {', '.join(types)}")
-        choices = get_args(get_args(types[key])[0])  # of `Literal[...] | None`
-        if choices and value not in choices:
-            raise RecordError(f"--hint {pair}: {key} can be {' or '.join(choices)}")
-        value_by_key[key] = Path(value) if key in ("points", "setup") else value
-    return Hints(**value_by_key, columns=columns, is_growing=is_growing)
+    hints = hints_from_argument(dict(text.partition("=")[::2] for text in key_value_texts or []))
+    return replace(hints, columns=columns or hints.columns, is_growing=is_growing)
 
 
 @dataclass(frozen=True)
@@ -163,18 +154,23 @@ class ReadingOptions:
 
 @dataclass(frozen=True)
 class ReadingOptionsWithControl(ReadingOptions):
-    """Options of a command for reading a recording and a file of control points (targets with known coordinates)."""
+    """Options of a command for reading a recording and a file of control points (targets with known coordinates).
+
+    Levelled heights of control points, in the file or in `setup.toml`, are reported in a note.
+    """
 
     control: ControlFileOption = None
 
     def read(self, path: Path, *, is_growing: bool = False) -> Recording:
         """Recording at `path`, with the control points of the file `control` if it is given; raises RecordError."""
         recording = super().read(path, is_growing=is_growing)
-        if self.control is None:
+        if self.control is None and not (recording.setup.curved and recording.setup.targets):
             return recording
-        from ltsim.adjustment.axes import with_control_points
+        from ltsim.adjustment.axes import with_control_points, with_levelled_control_note
 
-        return with_control_points(recording, self.control)
+        if self.control is not None:
+            recording = with_control_points(recording, self.control)
+        return with_levelled_control_note(recording, self.control.name if self.control else "setup.toml")
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,7 @@ MAPPING_ARGUMENT_SYNTAX = {
     "hold": "NAME=VALUE with a number, e.g. beam-tilt=2.5",
     "tolerance": "NAME=QUANTITY, such as beam-tilt='2 urad'",
     "changes": "KEY=VALUE, such as work.faces=2",
+    "hints": "KEY=VALUE",
     "move": STATION_POSITION_SYNTAX,
 }
 """Syntax of each argument that is a mapping (`NAME=VALUE`), by the name of the argument, for messages and help."""
@@ -86,15 +87,15 @@ def check_argument_choice(
         raise InputError(f"{option_text(argument_name)} is {argument_value}, expected {' or '.join(choices)}")
 
 
-def check_mapping_argument(argument_name: str, argument_value: object) -> None:
-    """Check that an argument is a mapping with names as keys, or None; raises InputError otherwise."""
+def check_mapping_argument(argument_name: str, argument_value: object, valid_keys: Sequence[str] = ()) -> None:
+    """Check that an argument is a mapping from names (of `valid_keys`, if given), or None; raises InputError."""
     if argument_value is not None and not isinstance(argument_value, Mapping):
         raise InputError(f"{option_text(argument_name)} is {argument_value}, expected a mapping")
     for key, value in (argument_value or {}).items():
-        if not isinstance(key, str) or not key.strip():
-            raise InputError(
-                f"{option_text(argument_name)} {key}={value}: expected {MAPPING_ARGUMENT_SYNTAX[argument_name]}"
-            )
+        if not isinstance(key, str) or not key.strip() or (valid_keys and key not in valid_keys):
+            syntax = MAPPING_ARGUMENT_SYNTAX[argument_name]
+            among = f" with a key among {', '.join(valid_keys)}" if valid_keys else ""
+            raise InputError(f"{option_text(argument_name)} {key}={value}: expected {syntax}{among}")
 
 
 def path_of_file_or_built_in(path_or_name: object) -> Path:

@@ -4,7 +4,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ltsim.recordings.conventions import NO_HINTS as NO_HINTS, Hints as Hints
     from ltsim.recordings.exchange import (
         FORMATS as FORMATS,
         FileFormat as FileFormat,
@@ -12,13 +11,14 @@ if TYPE_CHECKING:
         recognise_format as recognise_format,
         write as write,
     )
+    from ltsim.recordings.hints import NO_HINTS as NO_HINTS, Hints as Hints
     from ltsim.recordings.recording import Recording as Recording
     from ltsim.recordings.setup import Setup as Setup
 
 # Loaded when first used: who needs a recording in memory need not wait for every format.
 _MODULES = {
-    "conventions": ("Hints", "NO_HINTS"),
     "exchange": ("FORMATS", "FileFormat", "read", "recognise_format", "write"),
+    "hints": ("Hints", "NO_HINTS"),
     "recording": ("Recording",),
     "setup": ("Setup",),
 }

@@ -9,7 +9,7 @@ the correct unit. The sense of the azimuth needs known coordinates or poses: a m
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NoReturn
+from typing import NoReturn
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from ltsim.core.units import DEGREE, MILLIMETRE, SI_PER_UNIT
 from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rigid import align_rigidly, rotation_about_z
 from ltsim.recordings.coordinates import read_points
+from ltsim.recordings.hints import AngleUnit, AzimuthSense, Hints, LengthUnit, VerticalKind
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Setup
 from ltsim.recordings.transcription_errors import (
@@ -31,10 +32,6 @@ from ltsim.recordings.transcription_errors import (
     target_points_by_station,
 )
 
-AngleUnit = Literal["deg", "gon", "rad"]
-VerticalKind = Literal["zenith", "elevation"]
-AzimuthSense = Literal["clockwise", "counter-clockwise"]
-LengthUnit = Literal["mm", "m"]
 StationPoseArrays = tuple[Floats, Floats]
 """Pose of a station: rotation (3, 3) from the station frame to the network frame, and position (3,) [m]."""
 AngleConvention = tuple[AngleUnit, VerticalKind]
@@ -50,33 +47,6 @@ MAX_RELATIVE_MIRROR_MISFIT = 1e-3
 """Limit for agreement of mirrored points with reference points: median distance, divided by the size of the network."""
 MAX_ROWS_IN_NOTE = 3
 """Largest number of rows that one note lists; also the largest number of warnings about mirror images."""
-
-
-@dataclass(frozen=True)
-class Hints:
-    """Hints of the user on units, senses and names that a file does not determine; None lets the data decide.
-
-    `angle` and `length` are units, `vertical` the kind of vertical angle, `azimuth` its sense. `points` is a file of
-    coordinates (name, x, y, z) in a right-handed frame, which decides the sense of the azimuth. `station` names the
-    set-up if the file contains no name. `columns` assigns the columns of a table (``target=Name,azimuth=Hz[gon]``).
-    `setup` is a `setup.toml` for the file, `date` the order of day and month in dates with slashes. `is_growing`
-    permits a file that an instrument is still writing: its last row may be incomplete, and targets of reference lengths
-    may not be measured yet.
-    """
-
-    angle: AngleUnit | None = None
-    vertical: VerticalKind | None = None
-    azimuth: AzimuthSense | None = None
-    length: LengthUnit | None = None
-    points: Path | None = None
-    station: str | None = None
-    columns: str | None = None
-    setup: Path | None = None
-    date: Literal["dmy", "mdy"] | None = None
-    is_growing: bool = False
-
-
-NO_HINTS = Hints()
 
 
 @dataclass(frozen=True)

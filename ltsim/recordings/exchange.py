@@ -9,12 +9,7 @@ from pydantic import ValidationError
 
 from ltsim.core.errors import RecordError, unknown_name_error
 from ltsim.recordings import native
-from ltsim.recordings.conventions import (
-    NO_HINTS,
-    Hints,
-    mirror_image_warnings,
-    vertical_sight_notes,
-)
+from ltsim.recordings.conventions import mirror_image_warnings, vertical_sight_notes
 from ltsim.recordings.face_units import face_unit_warnings
 from ltsim.recordings.files import read_file_beginning, with_unix_line_ends
 from ltsim.recordings.formats import (
@@ -29,6 +24,7 @@ from ltsim.recordings.formats import (
     spatialanalyzer,
 )
 from ltsim.recordings.formats.unsupported import UNSUPPORTED_FORMATS
+from ltsim.recordings.hints import Hints, HintsArgument, hints_from_argument
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.settings import validation_sentence
 from ltsim.recordings.setup import Setup
@@ -119,7 +115,7 @@ FORMATS: tuple[FileFormat, ...] = (
 """Supported formats, in the order in which a file is tested for them."""
 
 
-def read(path: str | Path, *, format: str | None = None, hints: Hints | None = None) -> Recording:  # noqa: A002
+def read(path: str | Path, *, format: str | None = None, hints: HintsArgument = None) -> Recording:  # noqa: A002
     """Recording from a file or folder in any supported format.
 
     Parameters
@@ -128,16 +124,18 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
         File or folder.
     format : str, optional
         Name of the format; by default recognised by the content, then by the suffix of the file name.
-    hints : Hints, optional
+    hints : Hints or mapping, optional
         Hints on what the file does not determine, such as units or names.
 
     Raises
     ------
     RecordError
         Error with its location in the file, or the hint that is needed.
+    InputError
+        If a hint is invalid.
     """
     path = Path(path)
-    hints = hints or NO_HINTS
+    hints = hints_from_argument(hints)
     format = "table" if format is None and hints.columns is not None and path.exists() else format  # noqa: A001
     file_format = recognise_format(path) if format is None else _format_by_name(format, FORMATS)
     try:

@@ -15,7 +15,6 @@ from ltsim.core.errors import RecordError, require_columns
 from ltsim.core.limits import MAX_TABLE_COLUMNS
 from ltsim.core.notation import escape_cell_text, unescape_cell_text
 from ltsim.core.units import DEGREE, MILLIMETRE, SI_PER_UNIT, UNIT_BY_SPELLING
-from ltsim.recordings.conventions import NO_HINTS, Hints
 from ltsim.recordings.files import (
     SourceLocation,
     is_not_finite,
@@ -24,6 +23,7 @@ from ltsim.recordings.files import (
     safe_excerpt,
     write_texts,
 )
+from ltsim.recordings.hints import NO_HINTS, Hints
 from ltsim.recordings.occupations import check_centring_tables
 from ltsim.recordings.pointings import index_names
 from ltsim.recordings.recording import (

@@ -13,7 +13,7 @@ from ltsim.core.units import MILLIMETRE, PPM
 from ltsim.geometry.expansion import ThermalExpansion
 from ltsim.recordings.files import SourceLocation, safe_excerpt
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.setup import GaugeDistance, ReferenceDifference, Target, symmetric_matrix
+from ltsim.recordings.setup import GaugeDistance, LengthGauge, ReferenceDifference, Target, symmetric_matrix
 
 EXPANSION_ERROR_PREFIX = "expansion of "
 """Beginning of the name of the error of an expansion coefficient, which lengths of one material share."""
@@ -202,3 +202,14 @@ def _coordinate_sigmas(reference: Target | ReferenceDifference) -> Floats:
     if reference.known_covariance_mm2 is None:
         return np.full(3, reference.known_sigma_mm)
     return np.sqrt(np.diag(symmetric_matrix(reference.known_covariance_mm2)))
+
+
+def common_expansion_per_k(gauge: LengthGauge) -> float:
+    """Coefficient of thermal expansion [1/K] of all reference lengths; 0 if it is not declared, or if they differ."""
+    materials = gauge.materials or {}
+    coefficients = {
+        (gauge if length.material is None else materials[length.material]).expansion_per_k
+        for length in gauge.distance
+        if not length.measured_in_place
+    }
+    return coefficients.pop() if len(coefficients) == 1 else 0.0

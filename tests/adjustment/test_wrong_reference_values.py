@@ -139,6 +139,7 @@ def test_a_wrong_gauge_temperature_is_reported_for_all_its_lengths_and_for_no_re
     no_go = [item.sentence for item in result.items if item.kind == "reference" and not item.passed]
     assert len(no_go) == 1
     assert no_go[0].startswith("all known lengths are ")
+    assert "a temperature of lengths with 23.2 ppm/K that is wrong by" in no_go[0]
 
 
 def test_a_calibration_does_not_follow_lengths_so_far_off_that_no_scale_of_an_instrument_is() -> None:

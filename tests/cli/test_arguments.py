@@ -96,6 +96,13 @@ WRONG: list[tuple[Callable[..., Any], dict[str, Any], list[str], str]] = [
      "trial is 10000000000000, expected a whole number, 0 to"),
     (lt.recover, {"source": "paper-workshop", "tolerance": 3}, [], "tolerance is 3, expected a mapping"),
     (lt.calibrate, {"recording": "ghost", "hold": 3}, [], "hold is 3, expected a mapping"),
+    (lt.read, {"path": "ghost", "hints": 3}, [], "hints is 3, expected a mapping"),
+    (lt.read, {"path": "ghost", "hints": {"points": 3}}, [], "hints points=3: points can be a path"),
+    (lt.read, {"path": "ghost", "hints": {"azimuth": "left"}}, ["convert", "ghost", "x", "--hint=azimuth=left"],
+     "azimuth=left: azimuth can be clockwise or counter-clockwise"),
+    (lt.convert, {"source": "ghost", "destination": "x", "hints": {"unit": "gon"}},
+     ["convert", "ghost", "x", "--hint=unit=gon"],
+     "unit=gon: expected KEY=VALUE with a key among angle, vertical, azimuth, length, points, station, columns, "),
 ]  # fmt: skip
 
 

@@ -76,7 +76,7 @@ def test_an_option_is_a_parameter_of_the_function_with_the_same_default(verb: st
     assert taken <= set(options), f"lt.{verb} has {taken - set(options)}, ltsim {verb} has not"
 
 
-@pytest.mark.parametrize("name", [n for n in lt.__all__ if n not in ("effects", "errors", "Effect")])
+@pytest.mark.parametrize("name", [n for n in lt.__all__ if n not in ("effects", "errors", "Effect", "Hints")])
 def test_every_parameter_is_documented_once_and_help_is_that_of_the_function(name: str):
     function = getattr(lt, name)
     assert inspect.isfunction(function)

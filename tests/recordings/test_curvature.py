@@ -9,11 +9,12 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment import adjust
-from ltsim.adjustment.axes import with_axes_from_points, with_control_points
+from ltsim.adjustment.axes import with_axes_from_points, with_control_points, with_levelled_control_note
 from ltsim.adjustment.level_surface import level_surface_log_evidence
 from ltsim.adjustment.significance import MIN_LOG_EVIDENCE_CERTAIN
+from ltsim.cli.options import ReadingOptionsWithControl
 from ltsim.core.units import EARTH_RADIUS
-from ltsim.recordings import Hints, read
+from ltsim.recordings import Hints, read, write
 from ltsim.recordings.coordinates import read_points
 
 CORNERS = {"A": (0.0, 0.0, 1.5), "B": (600.0, 80.0, 4.0), "C": (250.0, 520.0, 9.0)}
@@ -118,11 +119,14 @@ def test_levelled_heights_in_a_frame_are_reported(tmp_path: Path, refraction: fl
     for places, is_reported in ((levelled, True), (cartesian, False)):
         lines = [f"{name},{','.join(f'{1e3 * x:.3f}' for x in place)},1" for name, place in places.items()]
         (tmp_path / "list.csv").write_text("\n".join(["target,x_mm,y_mm,z_mm,sigma_mm", *lines]) + "\n")
-        for aligned in (
-            with_axes_from_points(recording, places, "list.csv"),
-            with_control_points(recording, tmp_path / "list.csv"),
+        control = with_control_points(recording, tmp_path / "list.csv")
+        write(control, tmp_path / str(is_reported))
+        for aligned, file in (
+            (with_axes_from_points(recording, places, "list.csv"), "list.csv"),
+            (with_levelled_control_note(control, "list.csv"), "list.csv"),
+            (ReadingOptionsWithControl().read(tmp_path / str(is_reported)), "setup.toml"),
         ):
-            notes = [note for note in aligned.notes if "the heights in list.csv are above a level surface" in note]
+            notes = [note for note in aligned.notes if f"the heights in {file} are above a level surface" in note]
             assert len(notes) == is_reported
             assert all("subtract d^2 / (2 R) from each height" in note for note in notes)
 

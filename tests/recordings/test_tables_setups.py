@@ -231,3 +231,18 @@ def test_a_set_up_and_a_target_of_another_spelling_are_the_same_mark(tmp_path: P
     rows = [line.replace(f",{target}2,", f",{target}1,") for line in rows]  # the set-up sees this target
     (tmp_path / "a.csv").write_text("\n".join(rows) + "\n")
     assert "are one mark" not in notes_text(read(tmp_path / "a.csv"))
+
+
+@pytest.mark.parametrize("has_rounds", [True, False])
+def test_a_height_in_the_first_row_is_that_of_all_orientations(tmp_path: Path, has_rounds: bool) -> None:
+    visits = [("A" if i % 2 else "B", "", "", i // 2, 70.0 * (i // 2)) for i in (0, 2, 4, 1, 3, 5)]
+    file = survey(tmp_path / "a.csv", [visit for visit in visits for _ in "ab"], heights=True, sigmas=True)
+    rows = [line.split(",") for line in file.read_text().splitlines()]
+    for i, row in enumerate(rows):
+        row[8] = row[8] if i == 0 or row[0] != rows[i - 1][0] else ""
+        del row[4], row[2 : 4 - has_rounds]
+    file.write_text("\n".join(map(",".join, rows)) + "\n")
+    recording = read(file)
+    assert recording.stations == ("B", "B#2", "B#3", "A", "A#2", "A#3")
+    assert set(recording.covariates["instrument_height_mm"]) == {1600.0}
+    assert "are taken as 0" not in notes_text(recording)

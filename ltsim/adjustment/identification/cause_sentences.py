@@ -29,6 +29,7 @@ from ltsim.physics.effects.scale_causes import has_temperature_cause, temperatur
 from ltsim.physics.effects.station_settling import StationSettling
 from ltsim.physics.effects.target_moved import TargetMoved, moved_coordinates_sentence
 from ltsim.physics.laws.variance import shared_errors_sentence
+from ltsim.recordings.references import common_expansion_per_k
 from ltsim.recordings.times import interval_text
 
 
@@ -149,7 +150,8 @@ def _sentence_on_other_causes(fit: NetworkFit, hypothesis: CauseHypothesis) -> s
     effect = hypothesis.model_change.effect
     if hypothesis.kind == "reference-scale":
         causes = "the declared temperature or expansion, or the scale of the distances, is wrong"
-        reason = temperature_errors_text(float(values[0]))
+        expansion = common_expansion_per_k(fit.adjustment.recording.gauge)
+        reason = temperature_errors_text(float(values[0]), expansion_per_k=expansion)
         return f"The reference lengths and the distances differ in scale by {size_text}: {causes} ({reason})."
     if hypothesis.kind == "reflector-radius":
         cause = smr_exchange_text(float(values[0]), float(np.sqrt(covariance[0, 0]))) or "another SMR radius"

@@ -27,18 +27,19 @@ MAX_RELATIVE_DIFFERENCE_FROM_UNIT_FACTOR = 1e-3
 instrument in a correct unit."""
 
 
-def temperature_errors_text(scale: float, *, is_of_distances: bool = False) -> str:
+def temperature_errors_text(scale: float, *, is_of_distances: bool = False, expansion_per_k: float = 0.0) -> str:
     """Text on the temperature errors that cause a relative difference `scale` of lengths and measured distances.
 
-    With `is_of_distances` only the air is a possible cause, otherwise also the temperature of reference lengths. Errors
-    above `MAX_TEMPERATURE_ERROR_K` are not named.
+    With `is_of_distances` only the air is a possible cause, otherwise also the temperature of reference lengths. Their
+    declared expansion is `expansion_per_k` [1/K], 0 for steel. Errors above `MAX_TEMPERATURE_ERROR_K` are not named.
     """
     difference = "scale error" if is_of_distances else "difference"
     air_error_k = abs(scale) / relative_index_decrease_per_kelvin()
-    steel_error_k = abs(scale) / STEEL_EXPANSION_PER_KELVIN
+    length_error_k = abs(scale / (expansion_per_k or STEEL_EXPANSION_PER_KELVIN))
+    lengths_text = f"lengths with {expansion_per_k / PPM:g} ppm/K" if expansion_per_k else "steel lengths"
     causes = []
-    if steel_error_k < MAX_TEMPERATURE_ERROR_K and not is_of_distances:
-        causes.append(f"a temperature of steel lengths that is wrong by {number_text(steel_error_k, 2)} K")
+    if length_error_k < MAX_TEMPERATURE_ERROR_K and not is_of_distances:
+        causes.append(f"a temperature of {lengths_text} that is wrong by {number_text(length_error_k, 2)} K")
     if air_error_k < MAX_TEMPERATURE_ERROR_K:
         causes.append(f"an air temperature that is wrong by {number_text(air_error_k, 2)} K")
     if not causes:

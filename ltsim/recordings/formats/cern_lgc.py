@@ -27,7 +27,6 @@ from ltsim.core.errors import RecordError
 from ltsim.core.limits import MAX_LGC_LINES
 from ltsim.core.notation import names_text
 from ltsim.core.units import EARTH_RADIUS, GON, MILLIMETRE
-from ltsim.recordings.conventions import NO_HINTS, Hints
 from ltsim.recordings.files import SourceLocation, read_lines, safe_excerpt, single_line_title
 from ltsim.recordings.formats.cern_declarations import (
     FIXED_AXES_BY_KEYWORD,
@@ -38,6 +37,7 @@ from ltsim.recordings.formats.cern_declarations import (
     parse_observed_point,
     parse_point,
 )
+from ltsim.recordings.hints import NO_HINTS, Hints
 from ltsim.recordings.pointings import (
     NOT_MEASURED,
     ObservationKind,

@@ -19,7 +19,6 @@ from ltsim.core.errors import RecordError
 from ltsim.core.notation import names_text
 from ltsim.core.units import ARCSECOND, CENTESIMAL_SECOND, DEGREE, GON, MILLIMETRE
 from ltsim.recordings.air import NO_AIR_UNCERTAINTY
-from ltsim.recordings.conventions import NO_HINTS, Hints
 from ltsim.recordings.files import MAX_RECORDING_NAME_LENGTH, SourceLocation, safe_excerpt, single_line_title
 from ltsim.recordings.formats.gama_network import (
     GamaNetwork,
@@ -31,6 +30,7 @@ from ltsim.recordings.formats.gama_network import (
     split_correlations,
     split_reference_lengths,
 )
+from ltsim.recordings.hints import NO_HINTS, Hints
 from ltsim.recordings.pointings import (
     NOT_MEASURED,
     SingleObservation,

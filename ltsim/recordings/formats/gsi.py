@@ -18,9 +18,9 @@ import numpy as np
 
 from ltsim.core.errors import RecordError
 from ltsim.core.units import DEGREE, GON, MILLIMETRE
-from ltsim.recordings.conventions import NO_HINTS, Hints
 from ltsim.recordings.files import SourceLocation, read_lines, safe_excerpt
 from ltsim.recordings.formats.field_book import FieldBook
+from ltsim.recordings.hints import NO_HINTS, Hints
 from ltsim.recordings.pointings import NOT_MEASURED
 from ltsim.recordings.recording import Recording
 

@@ -16,8 +16,8 @@ import numpy as np
 from ltsim.core.errors import RecordError
 from ltsim.core.units import ARCSECOND, MILLIMETRE
 from ltsim.geometry.polar import to_polar
-from ltsim.recordings.conventions import NO_HINTS, Hints
 from ltsim.recordings.files import safe_excerpt, single_line_title
+from ltsim.recordings.hints import NO_HINTS, Hints
 from ltsim.recordings.pointings import NOT_MEASURED, Pointing, has_all_sigma_columns, recording_from_pointings
 from ltsim.recordings.recording import SIGMA_COLUMNS, Recording
 from ltsim.recordings.setup import Setup

@@ -11,9 +11,9 @@ from pathlib import Path
 
 from ltsim.core.errors import RecordError
 from ltsim.core.notation import names_text
-from ltsim.recordings.conventions import NO_HINTS, Hints
 from ltsim.recordings.coordinates import is_point_list, read_points
 from ltsim.recordings.files import safe_excerpt
+from ltsim.recordings.hints import NO_HINTS, Hints
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.spreadsheets.cells import has_time_of_day, is_numeric
 from ltsim.recordings.spreadsheets.header import normalised_title

@@ -16,8 +16,8 @@ import numpy as np
 from ltsim.core.arrays import Ints
 from ltsim.core.errors import RecordError
 from ltsim.core.units import DEGREE, MILLIMETRE
-from ltsim.recordings.conventions import NO_HINTS, AngleUnit, AzimuthSense, Hints, LengthUnit, VerticalKind
 from ltsim.recordings.files import read_lines, safe_excerpt, write_text
+from ltsim.recordings.hints import NO_HINTS, AngleUnit, AzimuthSense, Hints, LengthUnit, VerticalKind
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.spreadsheets.cells import is_numeric
 from ltsim.recordings.spreadsheets.sheets import rows_of_file_beginning

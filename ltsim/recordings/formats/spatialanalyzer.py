@@ -21,8 +21,9 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
 from ltsim.core.units import ANGLE_UNITS, LENGTH_UNITS, SI_PER_UNIT, UNIT_BY_SPELLING
 from ltsim.geometry.polar import from_polar
-from ltsim.recordings.conventions import NO_HINTS, Hints, StationPoseArrays
+from ltsim.recordings.conventions import StationPoseArrays
 from ltsim.recordings.files import SourceLocation, read_lines, safe_excerpt
+from ltsim.recordings.hints import NO_HINTS, Hints
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Instrument, Setup, Station
 from ltsim.recordings.specification import ASSUMED_TRACKER_NOISE_NOTE

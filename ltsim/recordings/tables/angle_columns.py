@@ -11,8 +11,8 @@ from decimal import Decimal
 import numpy as np
 
 from ltsim.core.errors import RecordError
-from ltsim.recordings.conventions import Hints
 from ltsim.recordings.files import safe_excerpt
+from ltsim.recordings.hints import Hints
 from ltsim.recordings.spreadsheets import cells
 from ltsim.recordings.spreadsheets.angle_cells import (
     ANGLE_SYMBOLS,

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from ltsim.core.units import SI_PER_UNIT
-from ltsim.recordings.conventions import Hints
 from ltsim.recordings.files import safe_excerpt
+from ltsim.recordings.hints import Hints
 from ltsim.recordings.spreadsheets import cells
 from ltsim.recordings.tables.pointing_table import PointingTable
 

@@ -1,6 +1,6 @@
 """Heights above survey marks in tables: completion of empty cells, and lines measured in both directions as a test."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -28,12 +28,13 @@ decimetres."""
 
 
 def covariates_with_instrument_heights(
-    table: PointingTable, covariates: dict[str, Floats]
+    table: PointingTable, covariates: dict[str, Floats], first_setup_of_occupation: Mapping[str, str]
 ) -> tuple[dict[str, Floats], list[str]]:
     """Copy of `covariates` with the instrument height of the set-up in each row, and notes on empty cells of heights.
 
     `covariates` are the additional columns of numbers by name, each (n,). A table often gives the height of the
-    instrument in the first row of a set-up only, because it is constant.
+    instrument in the first row of a set-up only, because it is constant, also if the circle is rotated:
+    `first_setup_of_occupation` names the first set-up of the same occupation, by name of other set-ups.
     """
     notes = []
     for column in HEIGHT_COLUMNS:
@@ -42,12 +43,14 @@ def covariates_with_instrument_heights(
             continue
         filled, kind = heights.copy(), "instrument" if column == HEIGHT_COLUMNS[0] else "target"
         if kind == "instrument":
-            _, setup = distinct_with_indices(table.pointings.station)
-            for index in np.unique(setup[np.isnan(heights)]).tolist():
-                rows = setup == index
-                values = np.unique(heights[rows & np.isfinite(heights)])
-                if len(values) == 1:
-                    filled[rows] = values[0]
+            setups = table.pointings.station
+            for names in (setups, [first_setup_of_occupation.get(setup, setup) for setup in setups]):
+                _, number = distinct_with_indices(names)
+                for index in np.unique(number[np.isnan(filled)]).tolist():
+                    rows = number == index
+                    values = np.unique(heights[rows & np.isfinite(heights)])
+                    if len(values) == 1:
+                        filled[rows & np.isnan(filled)] = values[0]
             n_filled = int(np.sum(np.isnan(heights) & np.isfinite(filled)))
             if n_filled:
                 notes.append(f"{n_filled} empty heights of instruments are taken from other rows of the same set-up")

@@ -28,17 +28,15 @@ from ltsim.core.units import (
 from ltsim.geometry.polar import beam_frame_axes, from_polar, to_polar
 from ltsim.recordings.conventions import (
     AZIMUTH_SENSE_UNKNOWN_NOTE,
-    AzimuthSense,
-    Hints,
     PolarReadings,
     StationPoseArrays,
-    VerticalKind,
     angle_convention,
     azimuth_sense_from_points,
     azimuth_sense_from_poses,
     distance_unit_from_size,
 )
 from ltsim.recordings.files import safe_excerpt
+from ltsim.recordings.hints import AzimuthSense, Hints, VerticalKind
 from ltsim.recordings.recording import SIGMA_COLUMNS
 from ltsim.recordings.spreadsheets import cells
 from ltsim.recordings.spreadsheets.header import (

@@ -13,8 +13,8 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import RecordError
 from ltsim.core.notation import names_text
 from ltsim.geometry.polar import from_polar
-from ltsim.recordings.conventions import Hints
 from ltsim.recordings.files import safe_excerpt
+from ltsim.recordings.hints import Hints
 from ltsim.recordings.spreadsheets.cells import is_numeric
 from ltsim.recordings.spreadsheets.header import title_words_and_unit
 from ltsim.recordings.tables.pointing_table import PointingTable, UnconvertedPointings, distinct_with_indices

@@ -9,9 +9,10 @@ from ltsim.core.arrays import Floats
 from ltsim.core.units import ARCSECOND, MILLIMETRE, SI_PER_UNIT, unit_ratio
 from ltsim.geometry.polar import swap_front_and_raw
 from ltsim.recordings.air import NO_AIR_UNCERTAINTY
-from ltsim.recordings.conventions import NO_HINTS, Hints, floor_plan_poses
+from ltsim.recordings.conventions import floor_plan_poses
 from ltsim.recordings.curvature import with_earth_curvature
 from ltsim.recordings.files import MAX_CELL_TEXT_LENGTH, safe_excerpt
+from ltsim.recordings.hints import NO_HINTS, Hints
 from ltsim.recordings.occupations import check_centring_tables
 from ltsim.recordings.pointings import NOT_MEASURED, PointingColumns, has_all_sigma_columns, recording_from_columns
 from ltsim.recordings.recording import (
@@ -137,14 +138,18 @@ def assemble_recording(
     azimuth_sigma = covariates.get(SIGMA_COLUMNS[1], missing_values) * ARCSECOND
     is_total_station = bool(total_station_reason(table, interpretation, readings))
     has_circle = is_total_station or table.column_with_role(("horizontal",)) is not None
-    same_position, occupation_notes = split_occupations(table, readings, azimuth_sigma, has_circle=has_circle)
+    first_setup_of_occupation, occupation_notes = split_occupations(
+        table, readings, azimuth_sigma, has_circle=has_circle
+    )
     is_levelled = is_total_station and table.column_with_role(("elevation",)) is None
-    setup, level_notes = with_setups_over_marks(table, setup, readings, rounds=same_position, levelled=is_levelled)
+    setup, level_notes = with_setups_over_marks(
+        table, setup, readings, rounds=first_setup_of_occupation, levelled=is_levelled
+    )
     faces, face_notes = _pointing_faces(table, readings)
     times, start_moment, time_notes = pointing_times(table, hints)
     if start_moment and not setup.started:
         setup = setup.model_copy(update={"started": start_moment})
-    covariates, height_notes = covariates_with_instrument_heights(table, covariates)
+    covariates, height_notes = covariates_with_instrument_heights(table, covariates, first_setup_of_occupation)
     height = np.stack([covariates.get(name, missing_values) for name in HEIGHT_COLUMNS], axis=1) * MILLIMETRE
     unapplied_notes = unapplied_heights_notes(table, readings, height)
     if unapplied_notes:

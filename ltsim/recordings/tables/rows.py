@@ -8,8 +8,8 @@ from functools import partial
 
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import MAX_TABLE_HEADERS
-from ltsim.recordings.conventions import Hints
 from ltsim.recordings.files import SourceLocation, is_number, safe_excerpt
+from ltsim.recordings.hints import Hints
 from ltsim.recordings.spreadsheets import cells
 from ltsim.recordings.spreadsheets.header import (
     READING_ROLES,

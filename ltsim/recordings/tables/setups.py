@@ -6,7 +6,7 @@ marks that are also targets. The horizontal circle may be rotated between rounds
 
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import groupby
 
 import numpy as np
@@ -144,7 +144,7 @@ def spelling_notes(mark_by_setup: Mapping[str, str]) -> list[str]:
 
 def split_occupations(
     table: PointingTable, readings: Floats, sigma: Floats, *, has_circle: bool
-) -> tuple[set[str], list[str]]:
+) -> tuple[dict[str, str], list[str]]:
     """Division, in place, of set-ups with several occupations or with a rotated circle into separate set-ups.
 
     A column of set-ups or dates, or the heights of the instrument, distinguish occupations. `readings` (n, 3) [m, rad,
@@ -152,8 +152,8 @@ def split_occupations(
     Without a column of rounds, the directions of an instrument with a horizontal circle (`has_circle`) show rotations
     of the circle.
 
-    The results are the names of those set-ups that share an occupation, and thus the position, with another set-up, and
-    notes.
+    The results are the first set-up of the same occupation, by name of those set-ups that share an occupation, and thus
+    position and height, with another set-up, and notes.
     """
     pointings = table.pointings
     occupations: Sequence[OccupationKey]
@@ -177,7 +177,7 @@ def split_occupations(
             distinct = [(*occupations[i], str(number)) for i, number in by_number]
     marks = {station for station, *_ in distinct}
     if len(distinct) == len(marks):
-        return set(), []
+        return {}, []
     names = numbered_names(station for station, *_ in distinct)
     table.mark_by_setup = {
         name: table.mark_by_setup.get(key[0], key[0]) for key, name in zip(distinct, names, strict=True)
@@ -197,9 +197,10 @@ def split_occupations(
         )
     if orientations is not None:
         notes.append(circle_rotation_note(len(names), len(occupations)))
-    rounds = Counter(key[:2] for key in distinct)
-    is_split = is_rotated or orientations is not None
-    return {n for key, n in zip(distinct, names, strict=True) if rounds[key[:2]] > 1} if is_split else set(), notes
+    setups_by_occupation: dict[OccupationKey, list[str]] = {}
+    for key, name in zip(distinct, names, strict=True):
+        setups_by_occupation.setdefault(key[:2], []).append(name)
+    return {name: setups[0] for setups in setups_by_occupation.values() if len(setups) > 1 for name in setups}, notes
 
 
 def _occupation_labels(table: PointingTable) -> list[str]:
@@ -265,7 +266,7 @@ def _has_rotated_circle(
 
 
 def with_setups_over_marks(
-    table: PointingTable, setup: Setup, readings: Floats, *, rounds: set[str], levelled: bool
+    table: PointingTable, setup: Setup, readings: Floats, *, rounds: Iterable[str], levelled: bool
 ) -> tuple[Setup, list[str]]:
     """Prior knowledge `setup`, completed with stations that are levelled or over targets of their name, and notes.
 
