@@ -100,7 +100,7 @@ def test_the_database_takes_memory_in_proportion_to_its_files(tmp_path: Path) ->
 
 
 def test_a_folder_is_no_pattern(file: Path, tmp_path: Path) -> None:
-    """A folder `noise_factor=3` replaced the levels of the factor in all rows."""
+    """The database took the name of a folder `noise_factor=3` for a column of the rows."""
     few = FILE.replace("trials = 600", "trials = 8")
     file.write_text(few)
     run_campaign(file, tmp_path / "run1")
