@@ -194,16 +194,16 @@ def with_levelled_control_note(recording: Recording, source_text: str) -> Record
     `source_text` is the name of the file with the control points. The recording is unchanged if the network without the
     control points cannot be adjusted.
     """
-    known = {name: recording.target_setup(name) for name in recording.targets}
+    setup_by_name = {name: recording.target_setup(name) for name in recording.targets}
     points = {
         name: np.array(target.known_mm) * MILLIMETRE
-        for name, target in known.items()
+        for name, target in setup_by_name.items()
         if target.known_mm is not None and target.known_axes == "xyz"
     }
     if not recording.setup.curved or len(points) <= N_PLANE_COEFFICIENTS + 1:  # none of the heights would be redundant
         return recording
     unknown = {"known_mm": None, "known_covariance_mm2": None}
-    targets = {**recording.setup.targets, **{name: known[name].model_copy(update=unknown) for name in points}}
+    targets = {**recording.setup.targets, **{name: setup_by_name[name].model_copy(update=unknown) for name in points}}
     free = recording.replace(setup=recording.setup.model_copy(update={"targets": targets}))
     try:
         notes = levelled_heights_notes(adjust(free), points, source_text)
