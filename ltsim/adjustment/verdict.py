@@ -81,6 +81,11 @@ class FitWithConstants:
         """
         return self.sigma0 <= _sigma0_limits(self.dof, alpha)[1]
 
+    def sigma0_text(self, alpha: float) -> str:
+        """Text on sigma0 with its expected range, for the two-sided level `alpha` of the global test."""
+        low, high = _sigma0_limits(self.dof, alpha)
+        return f"sigma0 is {self.sigma0:.3f} ({low:.3f} to {high:.3f} expected)"
+
 
 def verdict_on(
     adjustment: Adjustment, alpha: float = GLOBAL_TEST_LEVEL, fit_with_constants: FitWithConstants | None = None
@@ -204,9 +209,7 @@ def _sigma0_with_constants_sentence(fit_with_constants: FitWithConstants | None,
     """
     if fit_with_constants is None:
         return ""
-    low, high = _sigma0_limits(fit_with_constants.dof, alpha)
-    expected = f"sigma0 is {fit_with_constants.sigma0:.3f} ({low:.3f} to {high:.3f} expected)"
-    return f"If the instrument constants are estimated, {expected}. "
+    return f"If the instrument constants are estimated, {fit_with_constants.sigma0_text(alpha)}. "
 
 
 def _rejection_reasons(adjustment: Adjustment, alpha: float, fit_with_constants: FitWithConstants | None) -> str:
@@ -217,11 +220,10 @@ def _rejection_reasons(adjustment: Adjustment, alpha: float, fit_with_constants:
     """
     origin = noise_origin(adjustment.recording.notes)
     if fit_with_constants is not None:
-        low, high = _sigma0_limits(fit_with_constants.dof, alpha)
-        sigma0 = fit_with_constants.sigma0
-        expected = f"sigma0 is {sigma0:.3f} ({low:.3f} to {high:.3f} expected)"
+        expected = fit_with_constants.sigma0_text(alpha)
         if fit_with_constants.explains_misfit(alpha):
-            smaller = "" if sigma0 >= low else f", so that the noise is smaller than {origin}"
+            is_smaller = fit_with_constants.sigma0 < _sigma0_limits(fit_with_constants.dof, alpha)[0]
+            smaller = f", so that the noise is smaller than {origin}" if is_smaller else ""
             return f"The instrument constants explain the residuals: if they are estimated, {expected}{smaller}."
         return (
             f"The noise is larger than {origin}, or a systematic effect is missing from the model. Errors of the "

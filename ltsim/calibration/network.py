@@ -11,6 +11,7 @@ from ltsim.adjustment.identification import identify_causes
 from ltsim.adjustment.identification.cause_tests import CauseTest
 from ltsim.adjustment.prior import expected_error_sigmas, prior_sigmas
 from ltsim.adjustment.stochastic_model import NoiseGrouping
+from ltsim.adjustment.verdict import FitWithConstants
 from ltsim.calibration import result
 from ltsim.calibration.arrays import CalibrationArrays
 from ltsim.calibration.calibration import Calibration
@@ -194,9 +195,16 @@ def adjust(
         source, ideal_construction(), robust, _noise_grouping(noise_from_data), datum_names, selection=selection
     )
     tests = cause_tests_of_adjustment(selection, adjustment)
-    options: dict[str, Any] = {"recommend_measurements": False, "robust": robust, "tests": tests}
-    options["with_constants"] = _adjustment_with_instrument_constants(adjustment)
-    return with_reported_uncertainty(_make_calibration(source, adjustment, "adjustment", **options))
+    calibration = _make_calibration(
+        source,
+        adjustment,
+        "adjustment",
+        recommend_measurements=False,
+        with_constants=_adjustment_with_instrument_constants(adjustment),
+        robust=robust,
+        tests=tests,
+    )
+    return with_reported_uncertainty(calibration)
 
 
 def _adjustment_with_instrument_constants(adjustment: Adjustment) -> Adjustment | None:
@@ -246,6 +254,7 @@ def _make_calibration(
     `with_constants` is the adjustment that also estimates the instrument constants, to compare with.
     """
     recording, construction = adjustment.recording, adjustment.construction
+    fit_with_constants = FitWithConstants.from_adjustment(with_constants)
     columns_of_free = adjustment.problem.unknowns.instrument_columns.ravel()
     is_fixed = adjustment.problem.prior.is_fixed
     is_free = ~is_fixed.ravel()
@@ -285,8 +294,8 @@ def _make_calibration(
         criteria=result.criteria_entry(recording, adjustment, construction, values),
         reflectors=result.reflector_entries(adjustment),
         fit_with_constants=None if with_constants is None else result.fit_entry(with_constants),
-        outliers=result.outlier_rows(adjustment, with_constants),
-        verdict=VerdictEntry.from_verdict(result.fit_verdict(adjustment, with_constants)),
+        outliers=result.outlier_rows(adjustment, fit_with_constants),
+        verdict=VerdictEntry.from_verdict(result.fit_verdict(adjustment, fit_with_constants)),
         noise=result.noise_rows(adjustment),
         reference_values=result.reference_value_entries(adjustment),
         undetermined_targets=adjustment.undetermined_targets,

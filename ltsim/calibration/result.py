@@ -101,10 +101,10 @@ def station_poses(adjustment: Adjustment, covariance: Floats | None = None) -> t
     )
 
 
-def outlier_rows(adjustment: Adjustment, with_constants: Adjustment | None = None) -> tuple[OutlierRow, ...]:
+def outlier_rows(adjustment: Adjustment, fit_with_constants: FitWithConstants | None = None) -> tuple[OutlierRow, ...]:
     """Result entries of outlying readings: gross errors, other excluded readings, then those that tests flag.
 
-    `with_constants` is the adjustment that also estimates the instrument constants.
+    `fit_with_constants` also estimates the instrument constants; None if there is no such fit.
     """
     recording = adjustment.recording
     whitened = np.nan_to_num(adjustment.residuals / adjustment.problem.reading_sigmas)
@@ -124,8 +124,7 @@ def outlier_rows(adjustment: Adjustment, with_constants: Adjustment | None = Non
     single &= _estimated_error_mask(adjustment, whitened)
     for i, k in sorted(np.argwhere(single).tolist(), key=lambda at: -abs(whitened[at[0], at[1]])):
         outliers.append(outlier(i, k, adjustment.residuals[i, k], float(whitened[i, k]), excluded=True))
-    fit = FitWithConstants.from_adjustment(with_constants)
-    for o in trusted_outliers(adjustment, TWO_SIDED_GLOBAL_TEST_LEVEL, fit):
+    for o in trusted_outliers(adjustment, TWO_SIDED_GLOBAL_TEST_LEVEL, fit_with_constants):
         place = o.pointing_index, o.observable_column
         outliers.append(outlier(*place, o.estimated_error, o.normalised_residual, p_value=o.p_value))
     return tuple(outliers)
@@ -142,13 +141,13 @@ def _estimated_error_mask(adjustment: Adjustment, whitened_residuals: Floats) ->
     return ~is_unconnected[:, None] & (~lost[:, None] | (np.abs(whitened_residuals) > MAX_CHANCE_SIGMAS))
 
 
-def fit_verdict(adjustment: Adjustment, with_constants: Adjustment | None = None) -> Verdict:
+def fit_verdict(adjustment: Adjustment, fit_with_constants: FitWithConstants | None = None) -> Verdict:
     """Verdict on the test to trust, if the tests of an adjustment disagree.
 
-    `with_constants` is the adjustment that also estimates the instrument constants. The level is
+    `fit_with_constants` also estimates the instrument constants; None if there is no such fit. The level is
     `TWO_SIDED_GLOBAL_TEST_LEVEL`.
     """
-    return verdict_on(adjustment, TWO_SIDED_GLOBAL_TEST_LEVEL, FitWithConstants.from_adjustment(with_constants))
+    return verdict_on(adjustment, TWO_SIDED_GLOBAL_TEST_LEVEL, fit_with_constants)
 
 
 def noise_rows(adjustment: Adjustment) -> tuple[NoiseRow, ...]:

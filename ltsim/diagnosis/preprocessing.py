@@ -17,6 +17,7 @@ from ltsim.adjustment.identification.hypothesis import (
     CentringChange,
     NoiseFactorChange,
     ReadingShiftChange,
+    includes_changed_noise,
 )
 from ltsim.adjustment.reliability import critical_normalised_residual
 from ltsim.adjustment.significance import (
@@ -97,7 +98,7 @@ def revised_error_mask(fit: NetworkFit, adjustment: Adjustment, error_mask: Bool
     """
     whitened = np.abs(adjustment.residuals) / fit.problem.reading_sigmas
     remaining_mask = error_mask & ~(np.nan_to_num(whitened, nan=np.inf) < MAX_CHANCE_SIGMAS)
-    if not any(isinstance(h.model_change, NoiseFactorChange) for h in fit.hypotheses):
+    if not includes_changed_noise(fit.hypotheses):
         return remaining_mask
     redundancy = np.where(adjustment.redundancy > NORMAL_EQUATIONS_TOLERANCE, adjustment.redundancy, np.nan)
     limit = critical_normalised_residual(int(fit.problem_with_all_readings.is_used_reading.sum()))

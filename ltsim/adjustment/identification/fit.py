@@ -23,6 +23,7 @@ from ltsim.adjustment.identification.hypothesis import (
     NoiseFactorChange,
     ReadingShiftChange,
     ReferenceOmission,
+    includes_changed_noise,
 )
 from ltsim.adjustment.identification.model_changes import (
     apply_corrections_and_omissions,
@@ -152,7 +153,7 @@ class NetworkFit:
             start_state = resect_contradicted_setups(problem, start)
         full_problem = drop_undetermined_targets(problem, start_state)
         fit = cls(fit_input, hypotheses, full_problem, *solve_without_outliers(full_problem, start_state, hypotheses))
-        if any(isinstance(h.model_change, NoiseFactorChange) for h in hypotheses):
+        if includes_changed_noise(hypotheses):
             fit = fit._with_estimated_noise()
         return fit
 
@@ -302,7 +303,7 @@ class NetworkFit:
         corrected_recording = recording.replace(
             readings=readings, target=self.recording.target, face=self.recording.face, setup=self.recording.setup
         )
-        if not any(isinstance(h.model_change, NoiseFactorChange) for h in self.hypotheses):
+        if not includes_changed_noise(self.hypotheses):
             return corrected_recording
         sigma = self.problem.reading_sigmas / [MILLIMETRE, ARCSECOND, ARCSECOND]
         columns = dict(zip(SIGMA_COLUMNS, sigma.T, strict=True))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -140,3 +141,8 @@ class CauseHypothesis:
             return True
         places = [(*h.stations, *h.targets) for h in (self, rival)]
         return not all(places) or not set(places[0]).isdisjoint(places[1])
+
+
+def includes_changed_noise(hypotheses: Iterable[CauseHypothesis]) -> bool:
+    """True if any of `hypotheses` changes the noise, so that the noise is estimated from the residuals."""
+    return any(isinstance(h.model_change, NoiseFactorChange) for h in hypotheses)
